@@ -42,7 +42,7 @@ FLOORS = (
     ("projection", "denoising"),
     ("executors",),
     ("camera", "checkpoint", "designs", "grid"),
-    ("backend", "files", "finite", "images", "ranks", "training_mode"),
+    ("backend", "files", "finite", "images", "ranks", "student", "training_mode"),
     ("protocols",),
     ("errors",),
 )

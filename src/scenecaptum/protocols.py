@@ -194,16 +194,25 @@ class Capabilities:
 class ResultKind(str, Enum):
     """The quantity that an attribution consists of.
 
-    Its value is the name in tables, figures and files. ``axis_label`` is for figures, with ``{}`` for the metric.
+    Its value is the name in tables, figures and files. ``axis_label`` is for figures, with ``{}`` for the metric;
+    so are ``finding``, which the names of the largest follow, and ``finding_of_none``, where all are 0.
     """
 
     axis_label: str
+    finding: str
+    finding_of_none: str
 
-    def __new__(cls, name: str, axis_label: str = "") -> ResultKind:
+    def __new__(
+        cls,
+        name: str,
+        axis_label: str = "",
+        finding: str = "{} depends most on",
+        finding_of_none: str = "{} depends on none of these parameters",
+    ) -> ResultKind:
         """Return the kind with this name as its value."""
         kind = str.__new__(cls, name)
         kind._value_ = name
-        kind.axis_label = axis_label
+        kind.axis_label, kind.finding, kind.finding_of_none = axis_label, finding, finding_of_none
         return kind
 
     GRADIENT = "gradient per unit", "change of {} per unit of the parameter"
@@ -214,10 +223,13 @@ class ResultKind(str, Enum):
     MEAN_SQUARED_GRADIENT = (
         "mean squared gradient per unit",
         "mean squared change of {} per unit of the parameter",
+        "the mean squared gradient of {} is largest for",
     )
     GRADIENT_VARIANCE = (
         "variance of the gradient per unit",
         "variance of the change of {} per unit of the parameter",
+        "the gradient of {} varies most with",  # which is not what the metric depends on most
+        "the gradient of {} varies with none of these parameters",
     )
     CONTRIBUTION = "contribution", "contribution to {}"
     ABLATION = "effect of ablation", "loss of {} by ablation"
@@ -342,6 +354,10 @@ class Attribution(Protocol):
     @property
     def parameter_values(self) -> Mapping[str, torch.Tensor]:
         """Values of the parameters."""
+
+    @property
+    def extents(self) -> Mapping[str, torch.Tensor]:
+        """The lengths of the ranges over which effects are compared, by channel; empty if they are unknown."""
 
     @property
     def labels(self) -> Mapping[str, str]:

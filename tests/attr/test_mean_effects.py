@@ -62,7 +62,7 @@ def test_a_table_of_few_replicates_says_so():
     some = dataclasses.replace(table, rows=(row, row._replace(name="y", label="y")), untrusted={"y": "why"})
     marks = ["?" in line for line in str(some).splitlines()[1:3]]
     assert marks == [False, True]
-    assert "?  why (1 parameter)" in str(some)
+    assert "?  why (y)" in str(some)
     assert "?" not in str(mean_effects(results(0.5, shifted(), TARGETS)))
 
 

@@ -120,11 +120,15 @@ def test_parameters_without_any_path_are_marked(mi: Any, tmp_path: Path) -> None
     name = "hidden.bsdf.reflectance.value"
     assert found[name].abs().max() == 0
     reasons = found.untrusted_errors()
-    assert reasons[name] == "no path of the pilot contributes to it: its light is rare, or there is none"
+    assert reasons[name] == "no sample reached it: its light is rare, or there is none"
     assert not any(one.startswith("floor") for one in reasons)
     found.save(tmp_path / "found.npz")
     assert SceneAttribution.load(tmp_path / "found.npz").untrusted_errors() == found.untrusted_errors()
     assert (found - found).untrusted_errors() == found.untrusted_errors()
+    # Of a metric that the picture does not change, no samples would be missing.
+    without = VanillaSceneGradient(renderer, lambda image: image.clamp(max=-1.0).mean()).attribute()
+    assert not any(without.effects().values())
+    assert without.untrusted_errors() == {}
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,12 @@ import torch
 from results import CASES, all_text, make, outside, surfaces
 
 from scenecaptum import SceneAttribution, SceneCaptumError
+from scenecaptum.projection import objects_of_unclear_sign
 from scenecaptum.visualization import (
+    LOWERS,
+    RAISES,
+    UNCLEAR,
+    color_of,
     display_image,
     plot_bars,
     plot_heatmap,
@@ -68,6 +73,26 @@ def test_bars_of_doubtful_derivatives_are_hatched() -> None:
     assert hatched == [name == "rough" for name, *_ in CASES]
     assert "! desk: roughness" in all_text(figure)
     assert "its size is off" in all_text(figure)
+
+
+def test_bars_name_their_unreliable_errors_if_they_are_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+    doubts = {"rough": "few samples", "wall": "none", "tiny": "none", "noisy": "not shown at all"}
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: doubts)
+    figure = plot_bars(make(), top=5)
+    text = " ".join(all_text(figure).split())
+    assert "? few samples (desk: roughness)" in text
+    assert "? none (wall; tiny, 1 of them not shown)" in text
+    assert "not shown at all" not in text
+    names = [label.get_text() for label in figure.axes[0].get_yticklabels()]
+    assert names == ["lamp", "two_minds", "floor", "? desk: roughness", "? wall"]
+    assert outside(figure) == []
+    both = " ".join(all_text(plot_specificity([make(), make(method="Other")], top=5)).split())
+    assert both.count("? few samples (desk: roughness)") == 1
+    # If all are, it is said once.
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
+    figure = plot_bars(make(), top=5)
+    assert "? few (all parameters)" in all_text(figure)
+    assert not any("?" in label.get_text() for label in figure.axes[0].get_yticklabels())
 
 
 def overstated(*rows: tuple[str, float, float], errors: float = 0.01) -> SceneAttribution:
@@ -125,6 +150,34 @@ def test_bars_with_a_note_have_its_mark_in_every_figure() -> None:
     both = dataclasses.replace(both, info={**both.info, "cautions": {"metal.alpha": "its size is off"}})
     assert "!~ metal.alpha" in all_text(plot_bars(both))
     assert "~" not in all_text(plot_bars(both, scale="unit"))
+
+
+@pytest.mark.parametrize(
+    ("info", "is_clear"),
+    [
+        ({"replicates": 8}, True),
+        ({"replicates": 2}, False),
+        ({"replicates": 8, "degrees_of_freedom": 1}, False),
+        ({"replicates": 4}, False),  # the interval is ± 3.18 standard errors
+    ],
+)
+def test_no_sign_is_called_known_that_the_interval_leaves_open(info: Any, is_clear: bool) -> None:
+    lit, desk = ("lamp.radiance", 0.41, 0.5), ("desk.reflectance", -0.41, 0.5)
+    result = overstated(lit, desk, errors=0.15)
+    result = dataclasses.replace(result, info={**result.info, **info})
+    low, high = result.interval(0.95)["lamp.radiance"]
+    assert is_clear == (low > 0 or high < 0)
+    colors = [color_of(row, result) for row in result.ranking()]
+    assert colors == ([RAISES, LOWERS] if is_clear else [UNCLEAR, UNCLEAR])
+    axes = plot_bars(result).axes[0]
+    signs = {text.get_text() for text in axes.texts} & {"+", "−", "±"}
+    assert signs == ({"+", "−"} if is_clear else {"±"})
+    title = axes.get_title(loc="left")
+    assert ("depends most on" in title) == is_clear
+    assert ("the largest effect is within the noise" in title) != is_clear
+    assert bool(result.heatmap(signed=True).any()) == is_clear
+    unclear = objects_of_unclear_sign(result)
+    assert unclear == ([] if is_clear else ["left", "right"])
 
 
 def test_bars_draw_into_given_axes_and_names_are_not_formulas() -> None:

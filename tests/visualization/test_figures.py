@@ -26,8 +26,11 @@ from scenecaptum.visualization import (
     plot_overlay,
     plot_rank_comparison,
     plot_specificity,
+    table_text,
 )
 from scenecaptum.visualization._text import finding
+
+VARIANCE = "variance of the gradient per unit"
 
 
 def hexes(colors: Any) -> list[str]:
@@ -196,6 +199,51 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     assert "the largest effect is within the noise\n" in text
 
 
+def test_titles_of_squares_and_variances_do_not_say_what_the_metric_depends_on() -> None:
+    zeros = {name: 0 * value for name, value in make().items()}
+    for quantity, said, of_none in (
+        (VARIANCE, "the gradient of Glare varies most with lamp", "varies with none"),
+        (
+            "mean squared gradient per unit",
+            "the mean squared gradient of Glare is largest for lamp",
+            "none of",
+        ),
+    ):
+        result = make(quantity=quantity)
+        assert finding(result) == said
+        assert said in " ".join(all_text(plot_bars(result)).split())
+        assert of_none in finding(dataclasses.replace(result, attributions=zeros))
+
+
+def test_a_difference_of_one_metric_says_what_its_results_differ_in() -> None:
+    first, others = make(method="first"), make(method="second")
+    lower = dataclasses.replace(others, attributions={name: value / 2 for name, value in others.items()})
+    assert finding(first - lower) == "the two results differ most in lamp"
+    assert finding(first - others) == "the two results differ in none of these parameters"
+    other_metric = dataclasses.replace(lower, info={**lower.info, "metric": "Light"})
+    assert finding(first - other_metric) == "Glare − Light depends most on lamp"
+
+
+def test_ranks_per_unit_of_several_kinds_have_a_note() -> None:
+    note = "per unit: compare parameters of one kind only"
+    labels = {"lamp": "lamp: radiance", "rough": "desk: roughness"}
+    ranged = dataclasses.replace(
+        make(),
+        labels=labels,
+        extents={
+            name: torch.full((value.shape[-1] if value.ndim else 1,), 1.0) for name, value in make().items()
+        },
+    )
+    mixed = dataclasses.replace(ranged, extents={**ranged.extents, "lamp": torch.full((3,), 40.0)})
+    assert note in all_text(plot_bars(mixed, scale="unit"))
+    assert note in table_text(mixed, scale="unit")
+    assert note in all_text(plot_bars(dataclasses.replace(mixed, info={**mixed.info, "quantity": VARIANCE})))
+    one_kind = dataclasses.replace(mixed, labels={"lamp": "lamp: radiance", "rough": "bulb: radiance"})
+    for result, scale in ((mixed, "range"), (ranged, "unit"), (one_kind, "unit")):
+        assert note not in all_text(plot_bars(result, scale=scale))
+        assert note not in table_text(result, scale=scale)
+
+
 def test_titles_do_not_conclude_where_an_effect_lost_in_the_noise_may_be_the_largest() -> None:
     _, second, third, _, _, noisy, *_ = make().ranking()
     covariance = dict(make().covariance)
@@ -238,8 +286,11 @@ def test_maps_say_what_a_texel_shows_and_a_given_maximum_has_its_unit() -> None:
         extents={name: torch.ones(max(value.shape[-1:], default=1)) for name, value in base.items()},
     )
     text = all_text(plot_heatmap(textured, parameter="floor", texels=True, maximum=0.5)).replace("\n", " ")
-    title = "floor: first-order change of the metric over the range of the parameter, relative to 0.5 cd/m²"
-    assert title in text
+    change = "first-order change of the metric over the range of the parameter, relative to"
+    assert f"floor: magnitude of the {change} 0.5 cd/m²" in text
+    signed = all_text(plot_heatmap(textured, signed=True)).replace("\n", " ")
+    assert change in signed
+    assert "magnitude" not in signed
     assert "each texel: effect of a whole texture that acts like it" in text
     assert "each texel" not in all_text(plot_heatmap(textured, parameter="floor"))
 
@@ -537,6 +588,29 @@ def test_specificity_names_the_methods_where_they_differ() -> None:
     assert [title.split("\n")[0] for title in titles] == methods
     assert outside(figure) == []
     assert methods[0] not in all_text(plot_specificity([make(), make(metric="Luminance")]))
+
+
+def test_specificity_names_a_shared_metric_once_and_gives_each_bar_its_height() -> None:
+    name = "unified glare rating of the reading room"
+    columns = [
+        make(method="VanillaSceneGradient", measure={"name": name}),
+        make(method="IntegratedGradientsScene", measure={"name": name}, quantity="contribution"),
+        make(method="FeatureAblationScene", measure={"name": name}, quantity="effect of ablation"),
+    ]
+    figure = plot_specificity(columns, signed=True)
+    assert all_text(figure).count("unified glare rating") == 1
+    assert f"{name} = 2.3369 ± 0.0005" in all_text(figure)
+    assert "the metric depends most on lamp" in " ".join(all_text(figure).split())
+    assert outside(figure) == []
+    for shown in (figure, plot_specificity(columns[:1]), plot_specificity([make(), lengthy(), make()])):
+        inches = shown.axes[0].get_window_extent().height / shown.dpi
+        assert inches / len(CASES) > 0.15
+    # Of one metric with two values, each column has its own.
+    other = dataclasses.replace(columns[0], metric_value=3.0)
+    text = " ".join(all_text(plot_specificity([columns[0], other])).split())
+    assert text.count("unified glare rating") == 1
+    assert "the metric depends most on lamp 2.3369 ± 0.0005" in text
+    assert "the metric depends most on lamp 3.0000 ± 0.0005" in text
 
 
 def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None:

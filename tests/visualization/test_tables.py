@@ -169,12 +169,43 @@ def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
     note = "~  metal.alpha.value: a small roughness acts most near 0"
     assert note in text(0.02, 1.0)
     assert note in text(0.2, 1.0)
-    assert "overstated; give it a range, or use ablation (not shown)" in " ".join(
+    assert "overstated; render the change, or measure an ablation (not shown)" in " ".join(
         text(0.02, 1.0, 1, -0.9).split()
     )
     assert "not shown" not in text(0.02, 1.0, 1)
     assert "overstated" not in text(0.3, 1.0)
     assert "overstated" not in text(0.02, 0.05), "the range is that of the user"
+
+
+def test_every_overstated_roughness_has_a_mark_and_the_note_names_the_leading_ones() -> None:
+    """Effects of 0, and those within their noise, overstate nothing."""
+    effects = {
+        "sky.radiance": 100.0,
+        "big.alpha": 20.0,
+        "small.alpha": -3.0,
+        "smaller.alpha": 2.0,
+        "zero.alpha": 0.0,
+        "noisy.alpha": 1.0,
+    }
+    errors = dict.fromkeys(effects, 0.01) | {"zero.alpha": 0.0, "noisy.alpha": 0.7}
+
+    def result(names: Sequence[str]) -> SceneAttribution:
+        return dataclasses.replace(
+            make(),
+            attributions={name: torch.tensor(effects[name]) for name in names},
+            covariance={name: torch.tensor([[errors[name] ** 2]]) for name in names},
+            standard_error={name: torch.tensor(errors[name]) for name in names},
+            parameter_values={name: torch.tensor(0.02) for name in names},
+            extents={name: torch.ones(1) for name in names},
+            labels={},
+        )
+
+    text = table_text(result(list(effects)))
+    marked = {name for name in effects if f"{name} ~" in " ".join(row_of(name, text).split())}
+    assert marked == {"big.alpha", "small.alpha", "smaller.alpha"}
+    assert "~ big.alpha and 2 more: a small roughness acts most near 0" in " ".join(text.split())
+    without = table_text(result([name for name in effects if name != "big.alpha"]))
+    assert "~ small.alpha and 1 more: a small roughness acts" in " ".join(without.split())
 
 
 def lowest(name: str, value: float, gradient: float = 0.0) -> SceneAttribution:
@@ -205,7 +236,8 @@ def test_table_says_that_a_derivative_at_the_lowest_roughness_says_nothing(
 ) -> None:
     text = " ".join(table_text(lowest(name, value, gradient)).split())
     assert (f"~ {name}: Mitsuba renders a roughness this low as its lowest" in text) == has_note
-    assert (f"{name} ~ " in text) == has_note
+    # One that is not 0 there is overstated.
+    assert (f"{name} ~ " in text) == (has_note or gradient != 0)
 
 
 def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alone() -> None:
@@ -223,10 +255,13 @@ def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alon
         )
 
     note = (
-        "~  attributed alone, this roughness has a smaller error, because lamps light it: metal.alpha.value"
+        "~ the error of this roughness is large among many inputs and smaller if you select it alone: "
+        "metal.alpha.value"
     )
-    assert note in text(1.0)
-    several = "these roughnesses have smaller errors, because lamps light them: metal.alpha.value; floor"
+    assert note in " ".join(text(1.0).split())
+    several = (
+        "these roughnesses are large among many inputs and smaller if you select each alone: metal.alpha"
+    )
     assert several in " ".join(text(1.0, noisy=["metal.alpha.value", "floor"]).split())
     assert "alone" not in text(0.1), "its error is small enough"
     assert "alone" not in text(1.0, quantity="effect of ablation"), "no gradient is taken"
@@ -347,21 +382,30 @@ def test_cautions_are_grouped() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "counted"),
+    ("names", "counted", "named"),
     [
-        (["lamp"], "1 parameter"),
-        (["lamp", "two_minds"], "2 parameters"),
-        (["lamp", "wall", "tiny"], "3 parameters, 2 of them not shown"),
-        (["wall", "tiny"], "2 parameters, none of them shown"),
-        (["tiny"], "1 parameter, not shown"),
+        (["lamp"], "1 parameter", "lamp"),
+        (["lamp", "two_minds"], "2 parameters", "lamp; two_minds"),
+        (
+            ["wall", "tiny", "lamp"],
+            "3 parameters, 2 of them not shown",
+            "lamp; wall; tiny, 2 of them not shown",
+        ),
+        (["wall", "tiny"], "2 parameters, none of them shown", "wall; tiny, none of them shown"),
+        (["tiny"], "1 parameter, not shown", "tiny, not shown"),
+        (
+            ["rough", "wall", "tiny", "lamp"],
+            "4 parameters, 3 of them not shown",
+            "lamp; desk: roughness; wall and 1 more, 3 of them not shown",
+        ),
     ],
 )
-def test_notes_say_how_many_of_their_parameters_have_no_row(
-    names: list[str], counted: str, monkeypatch: pytest.MonkeyPatch
+def test_notes_say_which_of_their_parameters_have_no_row(
+    names: list[str], counted: str, named: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: dict.fromkeys(names, "few"))
     text = table_text(make(cautions=dict.fromkeys(names, "size is off")), top=2)
-    assert f"?  few ({counted})" in text
+    assert f"?  few ({named})" in text
     assert f"!  size is off ({counted})" in text
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
     assert "?  few (all parameters)" in table_text(make(), top=2)

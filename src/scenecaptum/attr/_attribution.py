@@ -362,6 +362,8 @@ def _effective_samples(
     if estimate is None or spp is None or not gradients.degrees_of_freedom:
         return {}
     adjoint = torch.stack(adjoints.per_replicate).mean(0)
+    if not adjoint.any():  # the metric does not depend on the picture, wherever the samples arrive
+        return {}
     count = gradients.replicates
     return estimate(values, adjoint, spp=max(1, spp // count), replicates=count)
 

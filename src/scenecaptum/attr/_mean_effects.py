@@ -15,7 +15,7 @@ from ..visualization import (
     DEFAULT_TOP,
     align_decimals,
     align_with_errors,
-    count_of,
+    doubt_notes,
     grid,
     group_by_text,
     pluralize,
@@ -97,13 +97,11 @@ class MeanEffects:
         hidden = len(self.rows) - len(rows)
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
         notes = [f"Mean and standard deviation of the effects in {self.count} results"]
-        for reason, names in doubts.items():
-            whose = (
-                "all parameters"
-                if len(names) == len(self.rows)
-                else count_of(names, [row.name for row in rows])
-            )
-            notes.append(f"?  {reason} ({whose})")
+        all_labels = {row.name: row.label for row in self.rows}
+        notes += [
+            f"?  {doubt}"
+            for doubt in doubt_notes(doubts, all_labels, [row.name for row in rows], len(self.rows))
+        ]
         return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", *notes])
 
     def __str__(self) -> str:

@@ -20,7 +20,7 @@ from ._data import AttributionData, covariances
 
 A = TypeVar("A", bound=AttributionData)
 
-NO_SAMPLES = "no path of the pilot contributes to it: its light is rare, or there is none"
+NO_SAMPLES = "no sample reached it: its light is rare, or there is none"
 FEW_SAMPLES = "too few samples contribute to its variance for a reliable error: its light is rare"
 
 
@@ -41,7 +41,8 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
     sides = attribution.info, attribution.info.get("minus", {})
     counts = [item for side in sides for item in side.get("effective_samples", {}).items()]
     reasons = {
-        name: FEW_SAMPLES if count else NO_SAMPLES
+        # The counts are those of a few paths: the samples themselves may have reached what these did not.
+        name: FEW_SAMPLES if count or attribution[name].any() else NO_SAMPLES
         for name, count in counts
         if count < MIN_EFFECTIVE_SAMPLES and name in attribution
     }

@@ -13,6 +13,7 @@ from ..errors import SceneCaptumError
 from ..projection import export
 from ..protocols import Scale
 from ..report import write_csv, write_json
+from ..student import clear_from
 from ..visualization import save_render
 from ._files import OutputFormat, figure_writer
 
@@ -76,11 +77,12 @@ def selected_formats(
 
 
 def _has_both_signs(attribution: SceneAttribution, scale: Scale | None) -> bool:
-    """Whether there are effects of both signs beyond two standard errors."""
+    """Whether there are effects of both signs that are clear of their noise."""
+    allowed = clear_from(attribution.info)
     clear = [
         row.effect
         for row in attribution.ranking(scale=scale)
-        if abs(row.effect) > 2 * (row.effect_error or 0.0)
+        if abs(row.effect) > allowed * (row.effect_error or 0.0)
     ]
     return attribution.kind.has_sign and bool(clear) and min(clear) < 0 < max(clear)
 

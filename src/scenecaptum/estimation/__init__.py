@@ -5,6 +5,7 @@ Renderers and metrics are known only by what they do (``protocols``). Nothing he
 
 __all__: list[str] = []
 
+from ..student import student_t as student_t
 from ._adjoints import Adjoints as Adjoints
 from ._adjoints import error_parts as error_parts
 from ._autograd import gradients_enabled as gradients_enabled
@@ -67,6 +68,5 @@ from ._seeds import derived_seeds as derived_seeds
 from ._seeds import random_generator as random_generator
 from ._simultaneous import Quantity as Quantity
 from ._simultaneous import simultaneous_quantile as simultaneous_quantile
-from ._student import student_t as student_t
 from ._value import metric_value as metric_value
 from ._weighted_means import deviations_of_mean as deviations_of_mean

@@ -6,7 +6,7 @@ import math
 
 import torch
 
-from ._student import student_t
+from ..student import student_t
 
 MIN_REPLICATES = 4  # with fewer, the standard error has a relative uncertainty of 50 % or more
 

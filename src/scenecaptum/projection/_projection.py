@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import SceneCaptumError, near_misses
 from ..protocols import Attribution, RankedParameter, Scale
+from ..student import clear_from
 from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
@@ -62,7 +63,8 @@ def heatmap(
         determine the scale. By default all.
     signed
         Whether to give an object's saliency the sign of the sum of its parameters' effects, or 0 where this sum is
-        less than two standard errors from 0. Objects of opposite sign cancel within a pixel.
+        less than two standard errors from 0, or more with few replicates. Objects of opposite sign cancel within
+        a pixel.
     scale
         What is compared, as for ``SceneAttribution.ranking``: by default effects over the parameters' ranges.
     norm
@@ -154,7 +156,7 @@ def objects_of_unclear_sign(
     texels: bool = False,
     surfaces: SurfaceMap | None = None,
 ) -> list[str]:
-    """Return the visible objects whose effect, the sum over their parameters, is less than two errors from zero.
+    """Return the visible objects whose effect, the sum over their parameters, is not clear of its noise.
 
     A signed map is 0 there. Objects without an effect are not counted; the options are those of ``heatmap``.
     """
@@ -167,18 +169,18 @@ def objects_of_unclear_sign(
     for index in visible:
         # Texels have signs of their own.
         own = [rows[name] for name in used[index] if not (texels and name in surfaces.texels)]
-        if any(row.saliency for row in own) and not clear_sum(own):
+        if any(row.saliency for row in own) and not clear_sum(attribution, own):
             unclear.append(surfaces.objects[index])
     return unclear
 
 
-def clear_sum(rows: Sequence[RankedParameter]) -> float:
-    """Return the sum of the effects of some parameters, 0 if it is less than two standard errors from 0."""
+def clear_sum(attribution: Attribution, rows: Sequence[RankedParameter]) -> float:
+    """Return the sum of the effects of some parameters, 0 if it is not clear of its noise."""
     total, error = (
         math.fsum(row.effect for row in rows),
         math.hypot(*(row.effect_error or 0.0 for row in rows)),
     )
-    return total if abs(total) > 2 * error else 0.0
+    return total if abs(total) > clear_from(attribution.info) * error else 0.0
 
 
 def surfaces_of(attribution: Attribution, given: SurfaceMap | None) -> SurfaceMap:
@@ -220,7 +222,7 @@ def _entries(
         params_by_object = [names - textures.keys() for names in params_by_object]
         objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
     magnitude = np.array(objects)[surfaces.object_index]
-    sums = np.array([clear_sum([rows[name] for name in names]) for names in params_by_object])
+    sums = np.array([clear_sum(attribution, [rows[name] for name in names]) for names in params_by_object])
     effect = sums[surfaces.object_index]
     for name, texel_map in textures.items():
         density = texel_map.density(attribution[name].numpy(force=True), len(surfaces.pixel))

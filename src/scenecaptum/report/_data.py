@@ -215,7 +215,7 @@ def _result(
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
     saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in object_rows]
-    sums = [clear_sum([ranking[index] for index in rows]) for rows in object_rows]
+    sums = [clear_sum(attribution, [ranking[index] for index in rows]) for rows in object_rows]
     return {
         "title": title,
         "metric": metric_name(attribution),

@@ -99,6 +99,9 @@ function brief(value, digits = 2) {
 
 const minus = (text) => text.replaceAll("-", "−");
 
+/** The first few of some labels, and how many more there are. */
+const firstFew = (labels) => labels.slice(0, 3).join("; ") + (labels.length > 3 ? ` and ${labels.length - 3} more` : "");
+
 const counted = (count, noun) => `${count} ${noun}${count === 1 ? "" : "s"}`;
 
 /** ``0.0978 ± 0.0008`` from its two parts. */

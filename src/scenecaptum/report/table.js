@@ -142,8 +142,8 @@ function drawNotes(result) {
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);
   }));
   notes.push(...result.doubts.map((text, index) => {
-    const count = result.rows.filter((row) => row.doubt === index).length;
-    const whose = isShared(index, result) ? "all parameters" : counted(count, "parameter");
+    const labels = result.rows.filter((row) => row.doubt === index).map((row) => row.label);
+    const whose = isShared(index, result) ? "all parameters" : firstFew(labels);
     return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
   }));
   notes.push(...cautioned(result.sceneCautions));

@@ -83,7 +83,7 @@ from ._text import axis_label as axis_label
 from ._text import baseline_notes as baseline_notes
 from ._text import caution_groups as caution_groups
 from ._text import convergence_notes as convergence_notes
-from ._text import count_of as count_of
+from ._text import doubt_notes as doubt_notes
 from ._text import group_notes as group_notes
 from ._text import is_of_camera as is_of_camera
 from ._text import method_name as method_name

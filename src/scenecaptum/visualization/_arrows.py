@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from ..protocols import Attribution
+from ..student import clear_from
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,10 +35,11 @@ def arrows(attribution: Attribution) -> list[Arrow]:
     the root of the effect, as the colours of the map.
     """
     shown, image = attribution.info.get("shown_moves") or {}, attribution.image
+    allowed = clear_from(attribution.info)
     rows = [
         row
         for row in attribution.ranking()
-        if row.name in shown and row.effect > 2 * (row.effect_error or 0.0)
+        if row.name in shown and row.effect > allowed * (row.effect_error or 0.0)
     ]
     if not rows or image is None:
         return []

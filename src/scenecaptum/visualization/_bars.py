@@ -36,6 +36,7 @@ from ._text import (
     baseline_notes,
     caution_groups,
     convergence_notes,
+    doubt_notes,
     method_name,
     pack,
     pluralize,
@@ -44,6 +45,8 @@ from ._text import (
     sampling_notes,
     scene_cautions,
     sign_labels,
+    unit_notes,
+    untrusted_groups,
 )
 
 if TYPE_CHECKING:
@@ -67,7 +70,8 @@ def plot_bars(
 
     The side and the colour of a bar show whether raising the parameter raises or lowers the metric or, for
     contributions, whether the parameter adds to the metric or takes from it. Bars are grey if the effect is less
-    than two standard errors from zero. Gradients per unit, whose channels have no common sign, are shown by their
+    than two standard errors from zero, or with fewer than 8 replicates within its interval at 95 % (Student's t).
+    Gradients per unit, whose channels have no common sign, are shown by their
     norm.
 
     Parameters
@@ -144,8 +148,9 @@ def draw_bars(
             write_at(ax, sign, (end, position), (4 * side, 0), color=ink, **style)
     names = shorten([row.label for row in rows], name_width)
     noted = range_marked(bar_notes(attribution, rows, scale))
+    doubted = _doubted(attribution)
     marks = [
-        f"{'!' if hatched else ''}{'~' if row.name in noted else ''}"
+        f"{'!' if hatched else ''}{'?' if row.name in doubted else ''}{'~' if row.name in noted else ''}"
         for row, hatched in zip(rows, inaccurate, strict=True)
     ]
     name_rows(ax, [f"{mark} {name}".lstrip() for mark, name in zip(marks, names, strict=True)], size)
@@ -195,6 +200,19 @@ def bar_notes(
     return range_notes(attribution, scale, among=[row.name for row in rows])
 
 
+def bar_doubts(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[str]:
+    """Return the reasons for which error bars of these rows are unreliable."""
+    shown = {row.name for row in rows}
+    doubts = {why: names for why, names in untrusted_groups(attribution).items() if shown.intersection(names)}
+    return doubt_notes(doubts, attribution.labels, shown, len(attribution))
+
+
+def _doubted(attribution: Attribution) -> set[str]:
+    """Return the rows with the mark ``?``: as in the table, none if all parameters would have it."""
+    groups = untrusted_groups(attribution).values()
+    return {name for names in groups if len(names) < len(attribution) for name in names}
+
+
 def _footnotes(
     attribution: Attribution,
     rows: Sequence[RankedParameter],
@@ -208,9 +226,11 @@ def _footnotes(
         method_name(attribution),
         *sampling_notes(attribution),
         *convergence_notes(attribution),
+        *unit_notes(attribution, rows, scale),
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
         "" if any(row.saliency for row in rows) else "all effects are 0",
         f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",
+        *(f"? {doubt}" for doubt in bar_doubts(attribution, rows)),
     ]
     lines = [*pack([note for note in notes if note], width), *baseline_notes(attribution)]
     for text, names in cautions.items():

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from ..errors import SceneCaptumError, whole_number
 from ..protocols import Attribution, RankedParameter, Scale
+from ..student import clear_from
 from ._layout import wrapped_lines
 from ._numbers import rounded
 from ._text import FINDING_WIDTH, finding, metric_line, sign_labels
@@ -93,14 +94,15 @@ def first(rows: Sequence[T], top: int | None) -> Sequence[T]:
 
 
 def color_of(row: RankedParameter, attribution: Attribution, scale: Scale | None = None) -> str:
-    """Return the colour of a row's sign: neutral if its effect is less than two standard errors from zero.
+    """Return the colour of a row's sign: neutral if its effect is not clear of its noise.
 
     Per unit, it is also neutral if channels disagree.
     """
+    allowed = clear_from(attribution.info)
     values, errors = [row.effect], [row.effect_error or 0.0]
     if attribution.ranks_by_norm(scale):
         values, errors = list(row.total), list(row.total_error or (0.0,) * len(row.total))
-    signs = {value > 0 for value, error in zip(values, errors, strict=True) if abs(value) > 2 * error}
+    signs = {value > 0 for value, error in zip(values, errors, strict=True) if abs(value) > allowed * error}
     if len(signs) != 1 or sign_labels(attribution) is None:
         return UNCLEAR
     return RAISES if signs.pop() else LOWERS
@@ -113,9 +115,14 @@ def characters_per_line(inches: float, size: float) -> int:
 
 def figure_title(attribution: Attribution, width: int, scale: Scale | None = None) -> str:
     """Return the finding, and below it the metric's value, in lines of at most ``width`` characters."""
-    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""  # and in another class by the definition
-    lines = (finding(attribution, scale), f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}")
+    lines = (finding(attribution, scale), value_line(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, width))
+
+
+def value_line(attribution: Attribution) -> str:
+    """Return the metric's name and value, and that this is relaxed where the definition has another class."""
+    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""
+    return f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}"
 
 
 def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:

@@ -34,10 +34,11 @@ def group_by_text(pairs: Iterable[tuple[str, str | None]]) -> dict[str, list[str
     return groups
 
 
-def first_few(names: Sequence[str], separator: str = ", ") -> str:
-    """Return the first few names, and how many more there are."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{separator.join(names[:_NAMED])}{more}"
+def first_few(names: Sequence[str], separator: str = ", ", *, of: int | None = None) -> str:
+    """Return the first few names, and how many more there are: ``of`` a number, by default of the names."""
+    named = names[:_NAMED]
+    hidden = (len(names) if of is None else of) - len(named)
+    return separator.join(named) + (f" and {hidden} more" if hidden else "")
 
 
 def wrap(text: str, width: int, indent: int = 4) -> str:

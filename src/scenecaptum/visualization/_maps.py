@@ -17,6 +17,7 @@ from ..projection import (
     used_by_objects,
 )
 from ..protocols import Attribution, Scale
+from ..student import clear_from
 from ._arrows import arrows, draw_arrows
 from ._figures import (
     LOWERS,
@@ -256,6 +257,8 @@ def _map_title(
     names = [parameter] if isinstance(parameter, str) else parameter
     selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
     quantity = axis_label(attribution, scale, metric="the metric")
+    if not signed and attribution.kind.has_sign and not attribution.ranks_by_norm(scale):
+        quantity = f"magnitude of the {quantity}"  # of −0.5 it is 0.5; a norm has no sign anyway
     shown = f"{selected}: {quantity}" if selected else quantity
     unit = unit_of_change(metric_unit(attribution)) if attribution.scale_or_default(scale) == "range" else ""
     largest = (
@@ -353,13 +356,13 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
         return ""
     visible = surfaces.visible_parameters() | set(attribution.info.get("seen_through") or ())
     groups = attribution.info.get("groups") or {}
-    ranking = attribution.ranking(scale=scale)
+    ranking, allowed = attribution.ranking(scale=scale), clear_from(attribution.info)
     unseen = [
         row
         for row in ranking
         if visible.isdisjoint(groups.get(row.name, [row.name]))
         and not is_of_camera(row.name)
-        and row.saliency > max(2 * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
+        and row.saliency > max(allowed * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
     ]
     named = [row for row in unseen if row.rank <= _MOST_UNSEEN]
     if not named:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneCaptumError
 from ..projection import DEFAULT_NORM, MapNorm, heatmap, objects_of_unclear_sign, shared_maximum
 from ..protocols import Attribution, RankedParameter, Scale
-from ._bars import bar_legend, bar_notes, draw_bars
+from ._bars import bar_doubts, bar_legend, bar_notes, draw_bars
 from ._figures import (
     DEFAULT_TOP,
     SMALL,
@@ -16,20 +16,28 @@ from ._figures import (
     TITLE,
     characters_per_line,
     figure_of,
-    figure_title,
     first,
     new_figure,
     style_axes,
+    value_line,
 )
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
-from ._text import axis_label, method_name
+from ._text import (
+    FINDING_WIDTH,
+    axis_label,
+    finding,
+    method_name,
+    metric_name,
+    with_unit_of_effects,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
 
 _COLUMN_WIDTH, _MAX_MAP_HEIGHT = 3.6, 3.6  # inches
 _NAME_WIDTH = 26
+_ROW_HEIGHT = 0.19  # inches
 
 
 def plot_specificity(
@@ -73,28 +81,33 @@ def plot_specificity(
     maximum = shared_maximum(attributions, scale=scale) or None if shared else None
     heats = [heatmap(a, signed=signed, scale=scale, norm=norm, maximum=maximum) for a in attributions]
     rows = [first(attribution.ranking(scale=scale), top) for attribution in attributions]
-    bars = 1.5 + 0.19 * max(map(len, rows))
     maps = 0.1 + min(max(_COLUMN_WIDTH * heat.shape[0] / heat.shape[1] for heat in heats), _MAX_MAP_HEIGHT)
     columns = len(attributions)
     marks = _marks(attributions, rows, scale)
     maps += 1.4 * SMALL / 72 * len(marks)
+    heading, titles = _titles(attributions, scale)
+    labels = _labels(attributions, scale, is_named=bool(heading))
+    legend: dict[Any, Any] = {}
+    for attribution, ranked in zip(attributions, rows, strict=True):
+        legend |= {entry.get_label(): entry for entry in bar_legend(attribution, ranked, scale)}
+    # Each row has its height, whatever the texts around the bars need.
+    lines = (
+        TITLE * len(heading) + TEXT * _most_lines(titles) + SMALL * (_most_lines(labels) + len(legend) / 2)
+    )
+    bars = 0.9 + 1.4 * lines / 72 + _ROW_HEIGHT * max(map(len, rows))
     part: Any = figure or new_figure(_COLUMN_WIDTH * columns + 0.7, bars + maps)
     # Separate subfigures let the maps be as wide as bars and names together.
     upper, lower = part.subfigures(2, 1, height_ratios=[bars, maps])
 
-    legend: dict[Any, Any] = {}
-    for ax, attribution, ranked in zip(
-        upper.subplots(1, columns, squeeze=False)[0], attributions, rows, strict=True
-    ):
-        label = wrap(
-            axis_label(attribution, scale), characters_per_line(0.68 * _COLUMN_WIDTH, SMALL), indent=0
-        )
+    axes = upper.subplots(1, columns, squeeze=False)[0]
+    for ax, attribution, ranked, label in zip(axes, attributions, rows, labels, strict=True):
         style_axes(ax)
         draw_bars(ax, attribution, ranked, scale=scale, name_width=_NAME_WIDTH, size=SMALL)
         ax.locator_params(axis="x", nbins=4)
         ax.set_xlabel(label, fontsize=SMALL, parse_math=False)
-        legend |= {entry.get_label(): entry for entry in bar_legend(attribution, ranked, scale)}
-    _draw_titles(upper, attributions, scale)
+    if heading:
+        upper.suptitle("\n".join(heading), fontsize=TITLE, parse_math=False)
+    _draw_titles(upper, titles)
     if legend:
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
@@ -112,25 +125,55 @@ def plot_specificity(
 def _marks(
     attributions: Sequence[Attribution], rows: Sequence[Sequence[RankedParameter]], scale: Scale | None
 ) -> list[str]:
-    """Return what the mark ``~`` beside a name means, in lines as wide as the figure."""
+    """Return what the marks ``~`` and ``?`` beside names mean, in lines as wide as the figure."""
     width = characters_per_line(0.95 * _COLUMN_WIDTH * len(attributions), SMALL)
-    pairs = zip(attributions, rows, strict=True)
-    notes = {note: None for one, ranked in pairs for note in bar_notes(one, ranked, scale)}
-    return [part for note in notes for part in wrapped_lines(f"~ {note}", width, 2)]
+    pairs = list(zip(attributions, rows, strict=True))
+    notes = [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
+    notes += [f"? {doubt}" for one, ranked in pairs for doubt in bar_doubts(one, ranked)]
+    return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
 
 
-def _draw_titles(figure: Any, attributions: Sequence[Attribution], scale: Scale | None) -> None:
+def _titles(attributions: Sequence[Attribution], scale: Scale | None) -> tuple[list[str], list[str]]:
+    """Return the lines of a common heading, which names the metric if all columns share it, and their titles."""
+    heading, values = "", list(map(value_line, attributions))
+    columns = [[finding(one, scale), value] for one, value in zip(attributions, values, strict=True)]
+    if len(attributions) > 1 and len(set(map(metric_name, attributions))) == 1:
+        found = [finding(one, scale, metric="the metric") for one in attributions]
+        if len(set(values)) == 1:
+            heading, columns = values[0], [[said] for said in found]
+        else:
+            heading = metric_name(attributions[0], FINDING_WIDTH)
+            numbers = [value.removeprefix(heading).removeprefix(" = ") for value in values]
+            columns = [list(lines) for lines in zip(found, numbers, strict=True)]
+    methods = list(map(method_name, attributions))
+    if len(set(methods)) > 1:
+        columns = [[method, *lines] for method, lines in zip(methods, columns, strict=True)]
+    width = characters_per_line(0.85 * _COLUMN_WIDTH, TITLE)
+    titles = ["\n".join(part for line in lines for part in wrapped_lines(line, width)) for lines in columns]
+    return wrapped_lines(heading, characters_per_line(0.9 * _COLUMN_WIDTH * len(columns), TITLE)), titles
+
+
+def _labels(attributions: Sequence[Attribution], scale: Scale | None, *, is_named: bool) -> list[str]:
+    """Return the labels of the axes; ``is_named`` says that the heading names the metric."""
+    width = characters_per_line(0.68 * _COLUMN_WIDTH, SMALL)
+    metrics = [with_unit_of_effects(one, "the metric") if is_named else None for one in attributions]
+    pairs = zip(attributions, metrics, strict=True)
+    return [wrap(axis_label(one, scale, metric=metric), width, indent=0) for one, metric in pairs]
+
+
+def _most_lines(texts: Sequence[str]) -> int:
+    return max(len(text.splitlines()) for text in texts)
+
+
+def _draw_titles(figure: Any, titles: Sequence[str]) -> None:
     """Write each column's title centred over bars and names; a long one would not fit over the bars alone."""
     from matplotlib.transforms import blended_transform_factory
 
-    width = characters_per_line(0.85 * _COLUMN_WIDTH, TITLE)
-    methods_differ = len(set(map(method_name, attributions))) > 1
-    for index, (ax, attribution) in enumerate(zip(figure.axes, attributions, strict=True)):
-        method = wrapped_lines(method_name(attribution), width) if methods_differ else []
+    for index, (ax, title) in enumerate(zip(figure.axes, titles, strict=True)):
         ax.text(
-            (index + 0.5) / len(attributions),
+            (index + 0.5) / len(titles),
             1.03,
-            "\n".join([*method, figure_title(attribution, width, scale)]),
+            title,
             transform=blended_transform_factory(figure.transSubfigure, ax.transAxes),
             ha="center",
             fontsize=TEXT,

@@ -18,6 +18,7 @@ from ._text import (
     caution_groups,
     convergence_notes,
     count_of,
+    doubt_notes,
     group_notes,
     hidden_of,
     jump_notes,
@@ -28,6 +29,7 @@ from ._text import (
     range_notes,
     sampling_notes,
     scene_cautions,
+    unit_notes,
     untrusted_groups,
     verdict,
 )
@@ -166,7 +168,7 @@ def _table(
     channels = f": {' or '.join(axes)}" if axes else ""
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
-    notes += baseline_notes(attribution)
+    notes += unit_notes(attribution, shown, scale) + baseline_notes(attribution)
     if len(shown) < len(ranking):
         largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
         notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")
@@ -194,9 +196,8 @@ def _table(
         )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")
-    for reason, names in untrusted.items():
-        all_of_them = len(names) == len(attribution)
-        notes.append(f"?  {reason} ({'all parameters' if all_of_them else count_of(names, with_rows)})")
+    doubts = doubt_notes(untrusted, attribution.labels, with_rows, len(attribution))
+    notes += [f"?  {doubt}" for doubt in doubts]
     notes += jump_notes(attribution)
     for text, names in of_range.items():
         hidden = hidden_of(names, with_rows)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
+from ..student import clear_from
 from ._layout import first_few, group_by_text
 from ._numbers import format_with_error, rounded, rounded_up, shorten, with_error
 
@@ -67,46 +69,61 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
     return attribution.info.get("measure") or {}
 
 
-def finding(attribution: Attribution, scale: Scale | None = None) -> str:
+def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str | None = None) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
-    If the third may be the first as well, "and others" follows. It names only effects that exceed two standard
-    errors, and says so if the largest does not, or if one within its noise may be larger. It names no effect with
-    a note (``~``), which may be overstated.
+    Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
+
+    If the third may be the first as well, "and others" follows. It names only effects that are clear of
+    their noise, and says so if the largest is not, or if one within its noise may be larger. It names no effect
+    with a note (``~``), which may be overstated. ``metric`` is by default its name.
     """
-    metric, ranking = metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    most, none = _findings(attribution, metric)
+    allowed = clear_from(attribution.info)
     noted = range_marked(range_notes(attribution, scale))
     if not noted and not any(row.saliency for row in ranking):
-        return f"{metric} depends on none of these parameters"
-    if ranking[0].saliency and not _is_clear(ranking[0]):
+        return none
+    if ranking[0].saliency and not _is_clear(ranking[0], allowed):
         return f"{metric}: the largest effect is within the noise"
     unmarked = [row for row in ranking if row.name not in noted]
-    if not unmarked or not _is_clear(unmarked[0]):
+    if not unmarked or not _is_clear(unmarked[0], allowed):
         return f"{metric}: see the notes on the effects marked ~"
-    first, *others = [row for row in unmarked if _is_clear(row)][:3]
-    noisy = [row for row in unmarked if not _is_clear(row) and _upper_end(row) > first.saliency]
+    first, *others = [row for row in unmarked if _is_clear(row, allowed)][:3]
+    noisy = [
+        row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
+    ]
     if noisy:
-        return f"{metric}: the largest effect is uncertain; {_too_large(noisy)}"
-    tied = [row for row in others if not _are_apart(first, row)]
+        return f"{metric}: the largest effect is uncertain; {_too_large(noisy, allowed)}"
+    tied = [row for row in others if not _are_apart(first, row, allowed)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
     aside = "" if first is ranking[0] else ", effects marked ~ aside"
-    return f"{metric} depends most on {listed}{aside}"
+    return f"{most} {listed}{aside}"
 
 
-def _is_clear(row: RankedParameter) -> bool:
-    """Whether a saliency is not 0 and more than two standard errors from it."""
-    return not row.saliency <= 2 * (row.saliency_error or 0.0)
+def _findings(attribution: Attribution, metric: str) -> tuple[str, str]:
+    """Return what precedes the names of the largest effects, and what is said where all are 0."""
+    kind, terms = attribution.kind, attribution.info.get("terms") or ()
+    if kind.has_sign and "minus" in attribution.info and len(terms) == 1:
+        # Two results of one metric: not it, but their difference is what the effects are of.
+        return "the two results differ most in", "the two results differ in none of these parameters"
+    return kind.finding.format(metric), kind.finding_of_none.format(metric)
 
 
-def _upper_end(row: RankedParameter) -> float:
-    """Return the saliency plus two standard errors."""
-    return row.saliency + 2 * (row.saliency_error or 0.0)
+def _is_clear(row: RankedParameter, allowed: float) -> bool:
+    """Whether a saliency is not 0 and more than the ``allowed`` standard errors from it."""
+    return not row.saliency <= allowed * (row.saliency_error or 0.0)
 
 
-def _too_large(noisy: Sequence[RankedParameter]) -> str:
+def _upper_end(row: RankedParameter, allowed: float) -> float:
+    """Return the saliency plus the ``allowed`` standard errors."""
+    return row.saliency + allowed * (row.saliency_error or 0.0)
+
+
+def _too_large(noisy: Sequence[RankedParameter], allowed: float) -> str:
     """Return ``'the error of sky: radiance is too large'``; of several, that of the largest upper end is first."""
-    ordered = sorted(noisy, key=_upper_end, reverse=True)
+    ordered = sorted(noisy, key=partial(_upper_end, allowed=allowed), reverse=True)
     named = shorten([row.label for row in ordered[: 1 if len(noisy) > 2 else 2]], FINDING_WIDTH)
     if len(noisy) == 1:
         return f"the error of {named[0]} is too large"
@@ -114,10 +131,10 @@ def _too_large(noisy: Sequence[RankedParameter]) -> str:
     return f"the errors of {' and '.join(named + others)} are too large"
 
 
-def _are_apart(larger: RankedParameter, smaller: RankedParameter) -> bool:
-    """Whether two saliencies differ by more than two standard errors."""
+def _are_apart(larger: RankedParameter, smaller: RankedParameter, allowed: float) -> bool:
+    """Whether two saliencies differ by more than the ``allowed`` standard errors."""
     errors = (larger.saliency_error or 0.0, smaller.saliency_error or 0.0)
-    return larger.saliency - smaller.saliency > 2 * math.hypot(*errors)
+    return larger.saliency - smaller.saliency > allowed * math.hypot(*errors)
 
 
 def method_name(attribution: Attribution) -> str:
@@ -135,10 +152,15 @@ def axis_label(
     """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``."""
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if metric is None:
-        unit, square = metric_unit(attribution), "" if kind.has_sign else "²"
-        metric = f"{metric_name(attribution, width)}{f' ({unit_of_change(unit)}){square}' if unit else ''}"
+        metric = with_unit_of_effects(attribution, metric_name(attribution, width))
     label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
+
+
+def with_unit_of_effects(attribution: Attribution, metric: str) -> str:
+    """Return the metric followed by its unit, or the square of it for squares and variances, in parentheses."""
+    unit, square = metric_unit(attribution), "" if attribution.kind.has_sign else "²"
+    return f"{metric} ({unit_of_change(unit)}){square}" if unit else metric
 
 
 def sign_labels(attribution: Attribution) -> tuple[str, str] | None:
@@ -204,6 +226,27 @@ def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
         if len(shapes) > 1 and ", ".join(shapes[:2]) in name:
             return ["a material that several shapes share is one row, with these shapes in parentheses"]
     return []
+
+
+def unit_notes(
+    attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
+) -> list[str]:
+    """Return a note where numbers per unit of different kinds of parameters are ranked together.
+
+    A reflectance has a range of 1 and a radiance one of hundreds: the order of their numbers per unit says little.
+    """
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    if kind.has_sign and not kind.is_gradient_per_unit:
+        return []
+    kinds = {row.label.rpartition(": ")[2] for row in rows if ": " in row.label}
+    ranges = {
+        round(float(attribution.extents[row.name].max()), 6)
+        for row in rows
+        if row.name in attribution.extents
+    }
+    if len(kinds) < 2 or len(ranges) == 1:
+        return []
+    return ["per unit: compare parameters of one kind only"]
 
 
 def jump_notes(attribution: Attribution) -> list[str]:
@@ -363,18 +406,19 @@ def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
     ]
     if not noisy:
         return {}
+    # Alone, its paths are sampled so that they find the lamps, which those of many inputs do not.
     alone = (
-        "attributed alone, this roughness has a smaller error, because lamps light it"
+        "the error of this roughness is large among many inputs and smaller if you select it alone"
         if len(noisy) == 1
-        else "attributed one at a time, these roughnesses have smaller errors, because lamps light them"
+        else "the errors of these roughnesses are large among many inputs and smaller if you select each alone"
     )
     return {f"{alone}: {_named(attribution, noisy)}": noisy}
 
 
-def _named(attribution: Attribution, names: Sequence[str]) -> str:
-    """Return the labels of the first few parameters, and how many more there are."""
+def _named(attribution: Attribution, names: Sequence[str], *, of: int | None = None) -> str:
+    """Return the labels of the first few parameters, and how many more there are ``of`` all."""
     # A label may have a comma or a colon.
-    return first_few([attribution.labels.get(name, name) for name in names], "; ")
+    return first_few([attribution.labels.get(name, name) for name in names], "; ", of=of)
 
 
 def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
@@ -429,23 +473,29 @@ def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
 def _roughness_notes(
     attribution: Attribution, scale: Scale | None, shown: Sequence[str]
 ) -> dict[str, list[str]]:
-    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do."""
+    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do.
+
+    It names those whose effects are notable beside the largest of all, or the largest of them.
+    """
     effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
-    notable = _NOTABLE * max(effects.values(), default=0.0)
+    errors, allowed = attribution.saliency_error(scale) or {}, clear_from(attribution.info)
     small = [
         name
         for name, value in attribution.parameter_values.items()
         if name in shown
         and _ROUGHNESS & set(name.split("."))
-        and effects.get(name, 0.0) > notable
+        and effects.get(name, 0.0) > allowed * errors.get(name, 0.0)
         # That over the range is the gradient times the length of the range.
         and effects[name] > _MANY_TIMES * gradients[name] * float(value.mean())
     ]
     if not small:
         return {}
+    small.sort(key=effects.__getitem__, reverse=True)
+    notable = _NOTABLE * max(effects.values())
+    named = [name for name in small if effects[name] > notable] or small[:1]
     note = (
-        f"{_named(attribution, small)}: a small roughness acts most near 0, so its effect over the whole "
-        "range is overstated; give it a range, or use ablation"
+        f"{_named(attribution, named, of=len(small))}: a small roughness acts most near 0, so its effect over the "
+        "whole range is overstated; render the change, or measure an ablation"
     )
     return {note: small}
 
@@ -474,6 +524,19 @@ def _least_roughness_notes(attribution: Attribution, shown: Sequence[str]) -> di
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     """Group the parameters with unreliable error bars by the reason."""
     return group_by_text(attribution.untrusted_errors().items())
+
+
+def doubt_notes(
+    doubts: Mapping[str, Sequence[str]], labels: Mapping[str, str], shown: Collection[str], count: int
+) -> list[str]:
+    """Return what the mark ``?`` means: each reason, with the first of the rows that it is about of ``count``."""
+    notes = []
+    for reason, names in doubts.items():
+        first_shown = sorted(names, key=lambda name: name not in shown)
+        named = first_few([labels.get(name, name) for name in first_shown], "; ")
+        whose = ", ".join(filter(None, [named, hidden_of(names, shown)]))
+        notes.append(f"{reason} ({'all parameters' if len(names) == count else whose})")
+    return notes
 
 
 def is_of_camera(name: str) -> bool:

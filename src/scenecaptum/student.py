@@ -1,10 +1,32 @@
-"""Quantiles of Student's t distribution."""
+"""Quantiles of Student's t distribution, and how many standard errors make an effect clear of its noise."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+_ENOUGH_DEGREES = 7  # of the default number of replicates, 8
 
 
+def clear_from(info: Mapping[str, Any]) -> float:
+    """Return how many standard errors from 0 an effect is clear of its noise, and its sign known.
+
+    Two, as is usual, from 8 replicates on, the default. With fewer it is as many as in ``interval(0.95)``, so that
+    no sign is called known that this interval leaves open: beyond two standard errors are 9 % of the effects that
+    are 0 with 8 replicates, but 30 % with 2.
+
+    Example
+    -------
+    >>> clear_from({"replicates": 8}), round(clear_from({"replicates": 2}), 2)
+    (2.0, 12.71)
+    """
+    degrees = int(info.get("degrees_of_freedom", info.get("replicates", _ENOUGH_DEGREES + 1) - 1))
+    return 2.0 if degrees >= _ENOUGH_DEGREES else student_t(0.95, max(degrees, 1))
+
+
+@cache
 def student_t(level: float, degrees: int) -> float:
     """Return ``t`` such that a Student-t variable lies in ``[-t, t]`` with probability ``level``.
 
