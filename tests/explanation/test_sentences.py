@@ -407,16 +407,18 @@ def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_
 
 
 def test_a_saturated_share_with_no_clear_effect_says_so():
-    def said(value: float, z: float, better: str = "higher") -> dict[str, list[str]]:
+    def said(value: float, z: float, better: str = "higher", **parts: float) -> dict[str, list[str]]:
         noisy = of_range(lamp=(torch.tensor(1e-3 * z), torch.tensor(0.5)))
         noisy = dataclasses.replace(noisy, info={**noisy.info, "measure": {**SDA, "better": better}})
-        return lines(Explanation(noisy, definition=Definition(value, "", points=20, error=0.0)))
+        return lines(Explanation(noisy, definition=Definition(value, "", points=20, error=0.0, **parts)))
 
     (found,) = said(100.0, 2.0).values()
     assert found == ["every point passes: nothing limits it"]
     assert list(said(0.0, 2.0).values()) == [["no point passes"]]
     assert list(said(0.0, 2.0, "lower").values()) == [["no point counts"]]
     assert list(said(95.0, 2.0)) == ["Too noisy to say"]
+    assert list(said(100 / 0.95, 2.0, greatest=100 / 0.95).values()) == [found]
+    assert list(said(100.0, 2.0, greatest=100 / 0.95)) == ["Too noisy to say"]
     (clear,) = said(100.0, 9.0).values()
     assert clear == ["lamp: +0.0090 ± 0.0010 percentage points"]
 

@@ -503,12 +503,12 @@ class Explanation:
 
     def _saturated(self) -> str:
         """Say that a share of points cannot rise or fall, if it is all or none of them; else nothing."""
-        if self.definition is None or not self.definition.points:
+        if self.definition is None:
             return ""
         lower = (self.attribution.info.get("measure") or {}).get("better") == "lower"
-        if self.definition.value == 0:
+        if self.definition.counts_none:
             return "no point counts" if lower else "no point passes"
-        if self.definition.value == 100:
+        if self.definition.counts_all:
             return "every point counts" if lower else "every point passes: nothing limits it"
         return ""
 
