@@ -150,10 +150,6 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and not goal.was_below:
             premises += _threshold_at(goal, scenes, metric, shown)
-    if definition is not None and (definition.counts_none or definition.counts_all):
-        # No number of samples finds effects where there are none.
-        info = {name: value for name, value in attribution.info.items() if name != "advice"}
-        attribution = dataclasses.replace(attribution, info=info)
     return Explanation(
         attribution,
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
