@@ -113,8 +113,8 @@ def test_quadrature_errors_are_saved(tmp_path):
         (-0.01, 0.019, -1.0, "adds up"),
         (0.01, 0.021, 1.0, "inconclusive"),
         (5.81, 7.25, 0.92, "inconclusive"),
-        (0.10, 0.024, 1.0, "does not add up"),
-        (-0.10, 0.026, 1.0, "inconclusive"),
+        (0.14, 0.026, 1.0, "does not add up"),  # of 1000 degrees of freedom: 3.30 errors
+        (-0.14, 0.028, 1.0, "inconclusive"),
         (0.0, 0.0, 0.0, "adds up"),
         (0.0, 0.1, 0.0, "inconclusive"),
         (0.2, 0.01, 0.0, "does not add up"),
@@ -125,12 +125,19 @@ def test_quadrature_errors_are_saved(tmp_path):
     ],
 )
 def test_the_verdict_has_three_values(delta, error, explained, said):
-    assert verdict(delta, error, explained) == said
+    assert verdict(delta, error, explained, 1000) == said
+
+
+def test_the_error_of_few_draws_is_no_proof_that_attributions_do_not_add_up():
+    # Student's t at 0.1 %: 8.61 of 4 degrees of freedom, 5.41 of 7, 3.75 of 24.
+    for freedom, errors in ((4, 8.61), (7, 5.41), (24, 3.75)):
+        assert verdict(0.05 + 0.101 * errors, 0.1, 1.0, freedom) == "does not add up"
+        assert verdict(0.05 + 0.099 * errors, 0.1, 1.0, freedom) == "inconclusive"
 
 
 def test_rounding_is_allowed_for():
-    assert verdict(1e-6, 0.0, 0.0, rounding=1e-5) == "adds up"
-    assert verdict(1e-6, None, 1.0, rounding=1e-5) == "adds up"
+    assert verdict(1e-6, 0.0, 0.0, 7, rounding=1e-5) == "adds up"
+    assert verdict(1e-6, None, 1.0, 7, rounding=1e-5) == "adds up"
 
 
 def test_the_verdict_is_printed_with_its_reasons():

@@ -306,10 +306,24 @@ def test_a_point_of_daylight_provision_is_a_step_of_the_smaller_ratio(brightness
     assert SpatialDaylightAutonomy(sky, during="all").step_of_a_point(before) == 25
 
 
+@pytest.mark.parametrize(
+    ("brightness", "target"), [((310, 310, 90, 90), 100), ((310, 120, 120, 120), 300), ((310, 310, 310), 100)]
+)
+def test_the_plan_and_the_words_of_daylight_provision_are_of_the_target_that_decides(brightness, target):
+    coefficients, sky = setup([[one, one, 0.0] for one in map(float, brightness)])
+    metric = DaylightProvision(sky, during="all")
+    assert metric.in_words(coefficients).endswith(f": {target} lx decides")
+    shown = metric.on_plan(coefficients)
+    assert shown.label == f"hours with at least {target} lx in %"
+    assert shown.counts == "from 50 % on (line), a point reaches the target that decides"
+    assert (metric.hard(coefficients).item() == pytest.approx(metric.greatest)) == (min(brightness) > 300)
+
+
 def test_daylight_provision_says_how_many_points_have_what_light():
     coefficients, sky = setup([[one, one, 0.0] for one in (310.0, 310.0, 120.0, 90.0)])
     assert DaylightProvision(sky, during="all").in_words(coefficients) == (
         "300 lx at 50 % of the points (50 required), 100 lx at 75 % of the points (95 required)"
+        ": 100 lx decides"
     )
     assert DaylightAutonomy(sky, during="all").in_words(coefficients) == ""
 

@@ -52,7 +52,8 @@ def test_a_room_without_light_of_the_sky_is_named_so() -> None:
     assert photometric_premises(daylight.AnnualSunlightExposure(sky), dark, 0.0) == ()
     shares = photometric_premises(daylight.DaylightProvision(sky), dark + 9.0, 0.0)
     assert shares == (
-        "300 lx at 100 % of the points (50 required), 100 lx at 100 % of the points (95 required)",
+        "300 lx at 100 % of the points (50 required), 100 lx at 100 % of the points (95 required): "
+        "100 lx decides",
     )
 
 

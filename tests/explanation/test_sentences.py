@@ -232,25 +232,75 @@ def test_where_no_effect_can_be_ranked_the_changes_that_are_clear_as_rendered_ar
 def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_stated():
     inputs = {f"a_{index}": (torch.tensor(0.01), torch.tensor(0.5)) for index in range(20)}
     found = of_range(**inputs, other=(torch.tensor(0.04), torch.tensor(0.5)))
-    errors = {"other": torch.full((1, 1), 0.01**2)}
+    errors = {"other": torch.full((1, 1), 0.02**2)}
     found = dataclasses.replace(found, covariance={**found.covariance, **errors})
     (line,) = lines(Explanation(found))["Too noisy to say"]
-    assert line == "other (+0.040 ± 0.010) may have an effect of 0.01 or more within the error; " + (
-        "22 times the samples would tell"  # the square of Student's t at 5 % / 21, 4.64
+    assert line == "other (+0.040 ± 0.020) may have an effect of 0.01 or more within the error; " + (
+        "86 times the samples would tell"  # twice Student's t at 5 % / 21, 4.64, squared
     )
+    assert effects_of(Explanation(found))[0] == (
+        "the largest effect is uncertain: other (+0.040 ± 0.020) may exceed those below"
+    )
+
+
+def with_errors(effects: dict[str, tuple[float, float]]) -> Any:
+    """Return an attribution of effects with standard errors."""
+    found = of_range(
+        **{name: (torch.tensor(value), torch.tensor(0.5)) for name, (value, _) in effects.items()}
+    )
+    covariance = {name: torch.full((1, 1), error**2) for name, (_, error) in effects.items()}
+    return dataclasses.replace(found, covariance={**found.covariance, **covariance})
+
+
+def test_a_large_effect_with_a_clear_sign_is_stated_beside_a_small_one_that_is_exact():
+    """Also where noise alone would reach as many errors at one of so many parameters."""
+    small = {f"noise{index}": (1e-5, 1e-3) for index in range(60)}
+    found = with_errors({"sun": (0.056, 0.030), "floor": (-0.034, 0.007), "metal": (-0.002, 0.0003), **small})
+    first, floor, metal = effects_of(Explanation(found))
+    assert first == "the largest effect is uncertain: sun (+0.056 ± 0.030) may exceed those below"
+    assert floor == "floor: −0.034 ± 0.007 (sign clear, size uncertain)"
+    assert metal == "metal: −0.00200 ± 0.00030"
+
+
+def test_an_effect_that_a_render_confirms_is_no_noise():
+    found = with_errors({"wall": (-3.0, 1.4), "lamp": (0.1, 0.01)})
+
+    def said(measured: float) -> tuple[list[str], bool]:
+        explanation = Explanation(found, changes=(change(measured),))
+        return effects_of(explanation), "wall" in " ".join(lines(explanation).get("Too noisy to say", []))
+
+    (wall, lamp), is_noise = said(-0.68)
+    assert wall == "wall: −3.0 ± 1.4 (sign clear, size uncertain)"
+    assert (lamp, is_noise) == ("lamp: +0.100 ± 0.010", False)
+    effects, is_noise = said(0.68)  # the sign of the effect is wrong
+    assert (effects, is_noise) == (["lamp: +0.100 ± 0.010"], False)
+    effects, is_noise = said(-0.03)
+    assert (effects[1:], is_noise) == (["lamp: +0.100 ± 0.010"], True)
+    assert effects[0].startswith("the largest effect is uncertain: wall (−3.0 ± 1.4)")
+
+
+def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():
+    found = with_errors({"metal": (2.0, 0.1), "floor": (1.0, 0.1)})
+    few = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 1000}})
+    metal, floor, note = effects_of(Explanation(few))
+    assert (metal, floor) == ("metal: +2.00 ± 0.10 ?", "floor: +1.00 ± 0.10")
+    assert note == "? too few samples contribute to its variance for a reliable error: its light is rare"
+    both = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 3}})
+    assert [line[:1] for line in effects_of(Explanation(both)) if "?" in line] == ["?"]
+    assert effects_of(Explanation(few, count=1)) == [metal, note]
 
 
 def test_the_largest_of_several_unclear_effects_are_named_with_the_samples_that_would_tell():
     """Also where another one has an error that no number of samples brings down."""
-    errors = {"pane": 0.4, "door": 0.3, "cloth": 0.01, "sky": 90.0, "desk": 0.2, "book": 0.05}
+    errors = {"pane": 0.6, "door": 0.4, "cloth": 0.01, "sky": 90.0, "desk": 0.2, "book": 0.08}
     effects = {"pane": 1.2, "door": -0.8, "cloth": 0.1, "sky": 0.05, "desk": 0.4, "book": 0.15}
     found = of_range(**{name: (torch.tensor(value), torch.tensor(0.5)) for name, value in effects.items()})
     covariance = {name: torch.full((1, 1), error**2) for name, error in errors.items()}
     found = dataclasses.replace(found, covariance={**found.covariance, **covariance})
     (line,) = lines(Explanation(found))["Too noisy to say"]
     assert line == (
-        "5 parameters may have an effect of 0.1 or more within the error; the largest: pane (+1.2 ± 0.4), "
-        "door (−0.80 ± 0.30), desk (+0.40 ± 0.20); 2 times the samples would tell of pane"
+        "5 parameters may have an effect of 0.1 or more within the error; the largest: pane (+1.2 ± 0.6), "
+        "door (−0.8 ± 0.4), desk (+0.40 ± 0.20); 4 times the samples would tell of pane"
     )
 
 
@@ -357,16 +407,18 @@ def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_
 
 
 def test_a_saturated_share_with_no_clear_effect_says_so():
-    def said(value: float, z: float, better: str = "higher") -> dict[str, list[str]]:
+    def said(value: float, z: float, better: str = "higher", **parts: float) -> dict[str, list[str]]:
         noisy = of_range(lamp=(torch.tensor(1e-3 * z), torch.tensor(0.5)))
         noisy = dataclasses.replace(noisy, info={**noisy.info, "measure": {**SDA, "better": better}})
-        return lines(Explanation(noisy, definition=Definition(value, "", points=20, error=0.0)))
+        return lines(Explanation(noisy, definition=Definition(value, "", points=20, error=0.0, **parts)))
 
     (found,) = said(100.0, 2.0).values()
     assert found == ["every point passes: nothing limits it"]
     assert list(said(0.0, 2.0).values()) == [["no point passes"]]
     assert list(said(0.0, 2.0, "lower").values()) == [["no point counts"]]
     assert list(said(95.0, 2.0)) == ["Too noisy to say"]
+    assert list(said(100 / 0.95, 2.0, greatest=100 / 0.95).values()) == [found]
+    assert list(said(100.0, 2.0, greatest=100 / 0.95)) == ["Too noisy to say"]
     (clear,) = said(100.0, 9.0).values()
     assert clear == ["lamp: +0.0090 ± 0.0010 percentage points"]
 

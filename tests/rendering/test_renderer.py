@@ -972,6 +972,19 @@ def test_the_plan_says_that_the_scenes_integrator_is_not_used(mi: Any, own: str)
     assert plan.max_depth == depths.get(own, 3)
 
 
+def test_an_integrator_of_a_user_with_the_name_of_one_of_mitsuba_is_said_not_to_be_used(mi: Any) -> None:
+    from scenecaptum.rendering.integrators.path import ReplayIntegrator
+
+    class DirectIntegrator(ReplayIntegrator):
+        pass
+
+    mi.register_integrator("own_direct", DirectIntegrator)
+    plan = SceneRenderer(small_cornell(integrator={"type": "own_direct"})).plan
+    assert "the scene's integrator 'DirectIntegrator' is not used" in str(plan)
+    plan = SceneRenderer(small_cornell(integrator={"type": "scenecaptum_replay"})).plan
+    assert "is not used" not in str(plan)
+
+
 def test_an_integrator_of_a_user_needs_no_description(mi: Any) -> None:
     class Silent(mi.SamplingIntegrator):
         def sample(self, *_: Any, **__: Any) -> Any:

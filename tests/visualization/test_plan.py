@@ -76,6 +76,18 @@ def test_points_outside_are_blank_and_do_not_count():
     assert plot_plan(ramp(), plan(5, 7)).axes[0].get_title(loc="left") == ""
 
 
+def test_a_title_names_a_line_only_where_one_is_drawn():
+    def title(shown: torch.Tensor, points: torch.Tensor, **parts: float) -> str:
+        text = "from 50 % on (line), a point counts"
+        return plot_plan(shown, points, levels=(350.0,), title=text, **parts).axes[0].get_title(loc="left")
+
+    assert title(ramp(), plan(5, 7)) == "from 50 % on (line), a point counts"
+    without = "from 50 % on, a point counts"
+    assert title(ramp() + 300, plan(5, 7)) == without  # all above
+    assert title(ramp(), plan(5, 7), error=200.0) == without  # too noisy
+    assert title(ramp(1, 7), plan(1, 7)) == without  # a single row has no contours
+
+
 def test_outer_rows_and_columns_without_a_point_are_left_out():
     inside = torch.zeros(5, 7, dtype=torch.bool)
     inside[1:, 2:5] = True

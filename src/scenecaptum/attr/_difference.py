@@ -11,7 +11,7 @@ import torch
 from torch.nn.functional import pad
 
 from ..visualization import rounded
-from ._convergence import convergence
+from ._convergence import convergence, freedom_of
 from ._data import AttributionData, Tensors, covariances
 from ._quadrature_error import covariance_of_quadrature
 
@@ -97,7 +97,8 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
         return info
     error = _hypot(a.convergence_delta_error, b.convergence_delta_error)
     magnitude = abs(explained_a) + abs(explained_b)
-    return info | convergence(delta, error, explained_a - explained_b, magnitude)
+    freedom = min(freedom_of(side.info) for side in (a, b))
+    return info | convergence(delta, error, explained_a - explained_b, magnitude, freedom)
 
 
 class _Term(NamedTuple):

@@ -27,6 +27,7 @@ from ..visualization import (
     rounded,
     terminal_width,
     unit_of_change,
+    untrusted_groups,
     verdict,
     with_error,
     wrap,
@@ -38,6 +39,8 @@ MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 FALSE_ALARMS = 0.05  # allowed for all effects together
+CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
+UNSURE_SIZE = " (sign clear, size uncertain)"
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 MOST_NAMED = 3  # of the effects that may be large
 DEFAULT_EFFECTS = 5
@@ -238,18 +241,50 @@ class Explanation:
     def _effect_lines(self) -> list[str]:
         if not self.count:
             return []
-        clear, _ = self._clear_and_unclear()
+        clear, unclear = self._clear_and_unclear()
         if not clear and (saturated := self._saturated()):
             return [saturated]
         stated = clear[: self.count]
-        notes = range_notes(self.attribution, among=[row.name for row in stated])
-        marked = range_marked(notes)
+        if not stated:
+            return []
+        names = [row.name for row in stated]
+        notes = range_notes(self.attribution, among=names)
+        doubts = {
+            reason: whose
+            for reason, whose in untrusted_groups(self.attribution).items()
+            if {*whose} & {*names}
+        }
+        # No marks if all would have one.
+        partial = [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
+        unsure = dict.fromkeys((name for whose in partial for name in whose), "?")
+        marks = unsure | {name: f"{unsure.get(name, '')}~" for name in range_marked(notes)}
+        allowed = self._allowed_errors()
         lines = [
-            f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}"
-            f"{self._along(row.name)}{' ~' if row.name in marked else ''}"
+            f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}{self._along(row.name)}"
+            f"{f' {marks[row.name]}' if row.name in marks else ''}"
+            f"{'' if _exceeds(row, allowed) else UNSURE_SIZE}"
             for row in stated
         ]
-        return [*lines, *(f"~ {note}" for note in notes)]
+        return [
+            *self._larger_lines(unclear, abs(stated[0].effect)),
+            *lines,
+            *(f"? {reason}" for reason in doubts),
+            *(f"~ {note}" for note in notes),
+        ]
+
+    def _larger_lines(self, unclear: Sequence[RankedParameter], largest: float) -> list[str]:
+        """Say which effects in the noise may exceed the largest that is stated."""
+
+        def upper(row: RankedParameter) -> float:
+            return abs(row.effect) + SIGNIFICANT * (row.effect_error or 0.0)
+
+        larger = sorted((row for row in unclear if upper(row) > largest), key=upper, reverse=True)
+        if not larger:
+            return []
+        first, *others = larger
+        more = f" and {pluralize(len(others), 'other')}" if others else ""
+        named = f"{in_words(first.label)} ({signed(first.effect, first.effect_error)}){more}"
+        return [f"the largest effect is uncertain: {named} may exceed those below"]
 
     def _change_lines(self) -> list[str]:
         return [self._change_line(change) for change in self.changes if change.is_clear]
@@ -436,30 +471,48 @@ class Explanation:
         return math.ceil((self._allowed_errors() * error / effect) ** 2)
 
     def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
-        """Return the effects that are clear of the noise, and the others that are not 0.
+        """Return the effects that are stated, and the others that are not 0.
 
         The noise of many parameters takes one of them beyond two standard errors, so the limit is that of all.
+        Also stated are effects whose sign a render of the change confirms, and those that are larger than another
+        and whose own sign is clear. What a render shows clear, but with the other sign, is neither.
         """
         allowed, rows = self._allowed_errors(), [row for row in self.attribution.ranking() if row.effect]
-        clear = [row for row in rows if abs(row.effect) > allowed * (row.effect_error or 0.0)]
-        return clear, [row for row in rows if row not in clear]
+        rendered = {one.name: one for one in self.changes if one.measured is not None and one.is_clear}
+        confirmed = {name for name, one in rendered.items() if (one.measured or 0.0) * one.predicted > 0}
+        stated = {row.name for row in rows if _exceeds(row, allowed) or row.name in confirmed}
+        unclear = [row for row in rows if row.name not in {*stated, *rendered}]
+        if stated and unclear:
+            smallest = min(abs(row.effect) for row in rows if row.name in stated)
+            own = self._quantile(CHANCE)
+            stated |= {row.name for row in unclear if abs(row.effect) > smallest and _exceeds(row, own)}
+        clear = [row for row in rows if row.name in stated]
+        return clear, [row for row in unclear if row.name not in stated]
 
     def _allowed_errors(self) -> float:
         """Return how many standard errors noise alone may reach at some effect, at 5 % for all together."""
         noisy = sum(bool(row.effect_error) for row in self.attribution.ranking())
         if not noisy:
             return 0.0
+        return self._quantile(FALSE_ALARMS / noisy)
+
+    def _quantile(self, chance: float) -> float:
+        """Return the number of standard errors that noise alone exceeds with a probability."""
         info = self.attribution.info
-        freedom = info.get("degrees_of_freedom", info["replicates"] - 1)
-        return student_t(1 - FALSE_ALARMS / noisy, freedom)
+        return student_t(1 - chance, info.get("degrees_of_freedom", info["replicates"] - 1))
 
     def _saturated(self) -> str:
         """Say that a share of points cannot rise or fall, if it is all or none of them; else nothing."""
-        if self.definition is None or not self.definition.points:
+        if self.definition is None:
             return ""
         lower = (self.attribution.info.get("measure") or {}).get("better") == "lower"
-        if self.definition.value == 0:
+        if self.definition.counts_none:
             return "no point counts" if lower else "no point passes"
-        if self.definition.value == 100:
+        if self.definition.counts_all:
             return "every point counts" if lower else "every point passes: nothing limits it"
         return ""
+
+
+def _exceeds(row: RankedParameter, errors: float) -> bool:
+    """Whether an effect is more than so many standard errors from 0."""
+    return abs(row.effect) > errors * (row.effect_error or 0.0)

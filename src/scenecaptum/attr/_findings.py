@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
+_ROUNDING = 1e-6  # relative, of single precision
 NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
 
 
@@ -131,6 +132,8 @@ class Definition:
         The standard error of the value; None if it is not known.
     step
         What one point adds to the value, if it counts points, by default their share; None for a mean over them.
+    greatest
+        The value where every point counts, if it counts points.
     """
 
     value: float
@@ -138,10 +141,23 @@ class Definition:
     points: int | None = None
     error: float | None = None
     step: float | None = None
+    greatest: float | None = None
 
     def __post_init__(self) -> None:
         if self.step is None and self.points:
             object.__setattr__(self, "step", 100 / self.points)
+        if self.greatest is None and self.points:
+            object.__setattr__(self, "greatest", 100.0)
+
+    @property
+    def counts_none(self) -> bool:
+        """Whether no point counts, so that small changes have no effect."""
+        return self.greatest is not None and self.value == 0
+
+    @property
+    def counts_all(self) -> bool:
+        """Whether every point counts, so that small changes have no effect."""
+        return self.greatest is not None and math.isclose(self.value, self.greatest, rel_tol=_ROUNDING)
 
 
 def is_clear(effect: float, error: float | None) -> bool:

@@ -105,6 +105,7 @@ class GradientShapScene(GradientMethod):
         starts = [resolve_baselines(self.renderer, run.values, baseline) for baseline in given]
         info = {
             "quantity": ResultKind.CONTRIBUTION.value,
+            "n_samples": count,
             **(
                 describe_several(self.renderer, run.values, given, starts)
                 if len(given) > 1

@@ -216,7 +216,7 @@ class Perturbation:
         }
         if residual is not None:
             magnitude = sum(effect.value.abs().sum().item() for effect in effects.values())
-            result_info |= convergence(residual.delta, None, residual.explained, magnitude)
+            result_info |= convergence(residual.delta, None, residual.explained, magnitude, freedom=1)
         labels = Capabilities(self.renderer).labels or {}
         return SceneAttribution(
             attributions={name: effect.value.float() for name, effect in effects.items()},

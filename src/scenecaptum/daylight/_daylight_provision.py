@@ -86,21 +86,31 @@ class DaylightProvision(DaylightMetric):
         )
 
     def in_words(self, coefficients: torch.Tensor) -> str:
-        """Return the share of the points that are daylit at each illuminance, and the required one."""
+        """Return the shares of the points that are daylit, the required ones, and which target decides."""
         with torch.no_grad():
             values = illuminance(coefficients, self.sky)
-        return ", ".join(
+        shares = ", ".join(
             f"{target:g} lx at {100 * _daylit(values, target, 0.0).item():.3g} % of the points "
             f"({100 * required:g} required)"
             for target, required in zip(_ILLUMINANCES[self.level], _SHARES_OF_POINTS, strict=True)
         )
+        return f"{shares}: {_ILLUMINANCES[self.level][self._deciding(values)]:g} lx decides"
+
+    @property
+    def greatest(self) -> float | None:
+        """The value where every point is daylit: that of the larger required share."""
+        return 100 / max(_SHARES_OF_POINTS)
 
     def step_of_a_point(self, coefficients: torch.Tensor) -> float:
         """Return what one point adds to the smaller of the two ratios, in %."""
         with torch.no_grad():
-            target, minimum = self._ratios(illuminance(coefficients, self.sky), 0.0)
-        required = _SHARES_OF_POINTS[0 if target <= minimum else 1]
-        return 100 / (required * len(coefficients))
+            deciding = self._deciding(illuminance(coefficients, self.sky))
+        return 100 / (_SHARES_OF_POINTS[deciding] * len(coefficients))
+
+    def _deciding(self, values: torch.Tensor) -> int:
+        """Return which target has the smaller ratio by the definition: 0, or 1 for the minimum target."""
+        target, minimum = self._ratios(values, 0.0)
+        return 0 if target <= minimum else 1
 
     def _value(self, values: torch.Tensor, relaxation: float) -> torch.Tensor:
         return 100 * torch.minimum(*self._ratios(values, relaxation))
@@ -114,10 +124,10 @@ class DaylightProvision(DaylightMetric):
         return target, minimum
 
     def _on_plan(self, values: torch.Tensor) -> PlanValues:
-        target, _ = _ILLUMINANCES[self.level]
+        target = _ILLUMINANCES[self.level][self._deciding(values)]
         daylit = mean_over_hours(step(values, target, 0.0))
         level = 100 * _SHARE_OF_HOURS
-        counts = f"from {level:g} % on (line), a point reaches the target of the {self.level} level"
+        counts = f"from {level:g} % on (line), a point reaches the target that decides"
         return PlanValues(100 * daylit, hours_with(target, self.period), (level,), counts)
 
     def extra_repr(self) -> str:

@@ -49,6 +49,8 @@ class DaylightMetric(torch.nn.Module):
         These hours in words, such as ``"occupied hours"``.
     counts_points
         Whether the published value is the share of the points that pass, which changes by whole points.
+    greatest
+        The published value where every point counts, of a metric that counts points; None for others.
 
     Notes
     -----
@@ -76,6 +78,10 @@ class DaylightMetric(torch.nn.Module):
     @abstractmethod
     def measure(self) -> Measure:
         """Name, unit, direction and classes."""
+
+    @property
+    def greatest(self) -> float | None:
+        return 100.0 if self.counts_points else None
 
     @property
     def _period_in_full(self) -> str:

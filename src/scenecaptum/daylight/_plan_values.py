@@ -20,7 +20,7 @@ class PlanValues:
     levels
         Values at which a map has contours, such as the limit that the metric compares with.
     counts
-        The meaning of such a limit, in a sentence; empty if there is none.
+        The meaning of such a limit, in a sentence; empty if there is none. ``"(line)"`` in it names the contour.
     """
 
     values: torch.Tensor

@@ -40,8 +40,9 @@ def definition_of(metric: TargetedMetric, images: torch.Tensor) -> Definition | 
     is_of_daylight = isinstance(relaxed, DaylightMetric)
     counts = is_of_daylight and relaxed.counts_points
     one = relaxed.step_of_a_point(images.mean(0)) if is_of_daylight else None
+    greatest = relaxed.greatest if is_of_daylight else None
     verdict = class_by_definition(metric, value, images.mean(0))
-    return Definition(value, verdict, images.shape[1] if counts else None, error, one)
+    return Definition(value, verdict, images.shape[1] if counts else None, error, one, greatest)
 
 
 def class_by_definition(metric: TargetedMetric, value: float, image: torch.Tensor) -> str:

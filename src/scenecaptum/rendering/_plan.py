@@ -247,10 +247,17 @@ def _unused_integrator(own: Any) -> dict[str, str]:
     if own is None:
         return {}
     # For a plugin written in Python, Mitsuba reports the name of the base class.
-    name = type(own).__name__ if own.class_name() == "SamplingIntegrator" else str(own.class_name())
-    if name in _EQUIVALENT_INTEGRATORS:
+    of_python = own.class_name() == "SamplingIntegrator"
+    name = type(own).__name__ if of_python else str(own.class_name())
+    # A class of the user's may have the name of a known one.
+    is_known = not of_python or type(own).__module__.partition(".")[0] in (
+        "mitsuba",
+        __name__.partition(".")[0],
+    )
+    if is_known and name in _EQUIVALENT_INTEGRATORS:
         return {}
-    plugin, reason = _OTHER_INTEGRATORS.get(name, (name, "path replay renders the radiance"))
+    found = _OTHER_INTEGRATORS.get(name) if is_known else None
+    plugin, reason = found or (name, "path replay renders the radiance")
     return {f"the scene's integrator {plugin!r} is not used": reason}
 
 

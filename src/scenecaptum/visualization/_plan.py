@@ -29,6 +29,7 @@ LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0
 _LABEL = {"facecolor": "black", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
 _APART = 0.08  # of the longer side, between two labels
 _PLACES = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9]  # of a label along its contour, the best first
+_LINE = " (line)"  # in a title, of the contour
 _MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
 _BESIDE_TITLE = 1.2  # inches left of a title, which begins at the map, and at its right
 _TITLE_LINE = 0.17  # inches
@@ -71,7 +72,7 @@ def plot_plan(  # noqa: PLR0913 -- a figure with its texts
         Values of the contours; those outside the range of ``values`` are not drawn. By default the steps of the
         scale of illuminance in EN 12464-1 from 50 to 5000 lx.
     title
-        Written above the map.
+        Written above the map; ``" (line)"`` is left out of it where no contour is drawn.
     label
         Quantity and unit, at the colour bar.
     axes
@@ -89,6 +90,11 @@ def plot_plan(  # noqa: PLR0913 -- a figure with its texts
         form rows and columns.
     """
     shown, x, y = _rows_and_columns(values, plan, inside)
+    within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
+    is_noise = bool(error and within) and 4 * (error or 0.0) >= _step(within, levels, shown)
+    has_contours = bool(within) and not is_noise and min(shown.shape) > 1
+    if not has_contours:
+        title = title.replace(_LINE, "")
     if ax is None:
         across, up = _size(x, y, width)
         title = "\n".join(filter(None, [title, BLANK if shown.mask.any() else ""]))
@@ -98,9 +104,7 @@ def plot_plan(  # noqa: PLR0913 -- a figure with its texts
         up += _TITLE_LINE * len(title.splitlines())
         ax = new_figure(across, up, layout="compressed").add_subplot()
     mapped = ax.pcolormesh(x, y, shown, shading="nearest", cmap="viridis")
-    within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
-    is_noise = bool(error and within) and 4 * (error or 0.0) >= _step(within, levels, shown)
-    if not is_noise:
+    if has_contours:
         _draw_contours(ax, x, y, shown, within, _APART * WIDTH / width)
     ax.set_aspect("equal")
     if axes == FROM_BELOW:
@@ -192,8 +196,6 @@ def _draw_contours(
     """
     from matplotlib.patheffects import withStroke
 
-    if min(shown.shape) < 2 or not within:
-        return
     # Without corner masks no line passes between blank points, where it would be a piece without meaning.
     lines = ax.contour(x, y, shown, levels=within, colors="white", linewidths=1.0, corner_mask=False)
     lines.set(path_effects=[withStroke(linewidth=2.2, foreground="black")])

@@ -310,7 +310,8 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     if error and quadrature and quadrature > error / 2:
         note += ", mostly quadrature error: use more steps"
     elif error and attribution.info.get("convergence") == "inconclusive":
-        note += ", mostly noise: use more samples"
+        draws = " or more n_samples" if attribution.info.get("n_samples") else ""  # of random scenes
+        note += f", mostly noise: use more samples{draws}"
     return [note]
 
 
