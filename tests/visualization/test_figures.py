@@ -28,7 +28,7 @@ from scenecaptum.visualization import (
     plot_specificity,
     table_text,
 )
-from scenecaptum.visualization._text import finding
+from scenecaptum.visualization._finding import finding
 
 VARIANCE = "variance of the gradient per unit"
 

@@ -21,7 +21,8 @@ from scenecaptum.visualization import (
     table_text,
     with_error,
 )
-from scenecaptum.visualization._text import axis_label, goal_notes
+from scenecaptum.visualization._notes import goal_notes
+from scenecaptum.visualization._text import axis_label
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..protocols import Attribution, RankedParameter, Scale
+from ._effect_notes import range_marked, range_notes
 from ._figures import (
     DEFAULT_TOP,
     LOWERS,
@@ -30,24 +31,18 @@ from ._figures import (
     write_header,
 )
 from ._layout import wrapped_lines
-from ._numbers import shorten
-from ._text import (
-    axis_label,
+from ._notes import (
     baseline_notes,
     caution_groups,
     convergence_notes,
     doubt_notes,
-    method_name,
-    pack,
-    pluralize,
-    range_marked,
-    range_notes,
     sampling_notes,
     scene_cautions,
-    sign_labels,
     unit_notes,
     untrusted_groups,
 )
+from ._numbers import shorten
+from ._text import axis_label, method_name, pack, pluralize, sign_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

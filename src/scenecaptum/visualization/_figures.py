@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from ..errors import SceneCaptumError, whole_number
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
+from ._finding import finding
 from ._layout import wrapped_lines
 from ._numbers import rounded
-from ._text import FINDING_WIDTH, finding, metric_line, sign_labels
+from ._text import FINDING_WIDTH, metric_line, sign_labels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,6 +19,7 @@ from ..projection import (
 from ..protocols import Attribution, Scale
 from ..student import clear_from
 from ._arrows import arrows, draw_arrows
+from ._effect_notes import range_notes
 from ._figures import (
     LOWERS,
     RAISES,
@@ -33,6 +34,7 @@ from ._figures import (
     new_figure,
 )
 from ._layout import wrapped_lines
+from ._notes import noise_notes
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
     axis_label,
@@ -40,10 +42,8 @@ from ._text import (
     is_of_camera,
     method_name,
     metric_unit,
-    noise_notes,
     pack,
     pluralize,
-    range_notes,
     unit_of_change,
 )
 from ._tonemap import display_image

@@ -21,16 +21,10 @@ from ._figures import (
     style_axes,
     value_line,
 )
+from ._finding import finding
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
-from ._text import (
-    FINDING_WIDTH,
-    axis_label,
-    finding,
-    method_name,
-    metric_name,
-    with_unit_of_effects,
-)
+from ._text import FINDING_WIDTH, axis_label, method_name, metric_name, with_unit_of_effects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure

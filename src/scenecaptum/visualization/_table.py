@@ -10,29 +10,22 @@ from itertools import zip_longest
 from typing import NamedTuple
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
+from ._effect_notes import range_marked, range_notes
 from ._layout import grid, wrap
-from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
-from ._text import (
-    axis_label,
+from ._notes import (
     baseline_notes,
     caution_groups,
     convergence_notes,
-    count_of,
     doubt_notes,
     group_notes,
-    hidden_of,
     jump_notes,
-    method_name,
-    metric_line,
-    pack,
-    range_marked,
-    range_notes,
     sampling_notes,
     scene_cautions,
     unit_notes,
     untrusted_groups,
-    verdict,
 )
+from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
+from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, verdict
 
 DEFAULT_ROWS = 40
 _MAX_CHANNELS = 4

@@ -1,0 +1,172 @@
+"""Notes on effects that may be read for something else, or that would have smaller errors alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+
+from ..protocols import Attribution, ResultKind, Scale
+from ..student import clear_from
+from ._layout import first_few
+from ._text import LARGE_ERROR, OF_DIFFERENCES, metric_symbol
+
+_ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
+# Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
+_LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
+_MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
+_MAP_NDIM = 3
+_NOTABLE = 0.1  # of the largest effect
+
+
+def range_notes(
+    attribution: Attribution, scale: Scale | None = None, among: Collection[str] | None = None
+) -> dict[str, list[str]]:
+    """Return notes on effects that may be read for something else, or that would have smaller errors alone.
+
+    Each has the parameters that it is about. ``among`` are the parameters that are shown, by default all.
+    """
+    shown = [name for name in attribution if among is None or name in among]
+    notes = _alone_notes(attribution, shown)
+    if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
+        notes |= {
+            **_sky_notes(attribution, shown),
+            **_roughness_notes(attribution, scale, shown),
+            **_least_roughness_notes(attribution, shown),
+            **_off_notes(attribution, shown),
+            **_light_notes(attribution, shown),
+            **_contradicted_notes(attribution, shown),
+            **_local_notes(attribution, shown),
+        }
+    return notes
+
+
+def range_marked(notes: Mapping[str, Collection[str]]) -> set[str]:
+    """Return the parameters that a mark, ``~``, refers to such notes."""
+    return {name for names in notes.values() for name in names}
+
+
+def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on the low roughnesses that are lost in the noise of a gradient of many inputs."""
+    effects, errors = attribution.saliency(), attribution.saliency_error()
+    if not errors or attribution.kind in OF_DIFFERENCES:
+        return {}
+    noisy = [
+        name
+        for name in attribution.info.get("noisy_roughness", ())
+        if name in shown and errors[name] > LARGE_ERROR * effects[name]
+    ]
+    if not noisy:
+        return {}
+    # Alone, its paths are sampled so that they find the lamps, which those of many inputs do not.
+    alone = (
+        "the error of this roughness is large among many inputs and smaller if you select it alone"
+        if len(noisy) == 1
+        else "the errors of these roughnesses are large among many inputs and smaller if you select each alone"
+    )
+    return {f"{alone}: {_named(attribution, noisy)}": noisy}
+
+
+def _named(attribution: Attribution, names: Sequence[str], *, of: int | None = None) -> str:
+    """Return the labels of the first few parameters, and how many more there are ``of`` all."""
+    # A label may have a comma or a colon.
+    return first_few([attribution.labels.get(name, name) for name in names], "; ", of=of)
+
+
+def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
+    labels, notes = attribution.labels, {}
+    for name in shown:
+        scale = f"{name.rpartition('.')[0]}.scale"
+        if attribution[name].ndim == _MAP_NDIM and scale in attribution:
+            of_light = f"{labels.get(scale, scale)} is of its light"
+            notes[f"{labels.get(name, name)}: of the same change in all texels; {of_light}"] = [name]
+    return notes
+
+
+def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on what is 0 in the scene, as a lamp that is off: its range is one unit."""
+    off = [name for name in attribution.info.get("unit_ranges", ()) if name in shown]
+    return {f"off, or 0, in the scene: per unit of 1: {_named(attribution, off)}": off} if off else {}
+
+
+def _light_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on lights that are off, under a metric that is not linear in the image."""
+    rendered = range_marked(_contradicted_notes(attribution, shown))
+    off = [name for name in attribution.info.get("lights_off", ()) if name in shown and name not in rendered]
+    if not off:
+        return {}
+    note = (
+        f"{_named(attribution, off)}: off, and {metric_symbol(attribution)} is not linear in the light: to first "
+        "order, the effect of switching it on may be far off, even in its sign; render the change"
+    )
+    return {note: off}
+
+
+def _contradicted_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on the effects that a render of the change contradicts."""
+    notes: Mapping[str, Sequence[str]] = attribution.info.get("contradicted") or {}
+    of_shown = {note: [name for name in names if name in shown] for note, names in notes.items()}
+    return {note: names for note, names in of_shown.items() if names}
+
+
+def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on the turns and zooms of a camera whose gradients do not hold over their ranges."""
+    local = [name for name in attribution.info.get("local", ()) if name in shown]
+    if not local:
+        return {}
+    note = (
+        f"{_named(attribution, local)}: the gradient at this value does not hold over its range, over which the "
+        "picture moves by several pixels; the effect may be quite different: render the change"
+    )
+    return {note: local}
+
+
+def _roughness_notes(
+    attribution: Attribution, scale: Scale | None, shown: Sequence[str]
+) -> dict[str, list[str]]:
+    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do.
+
+    It names those whose effects are notable beside the largest of all, or the largest of them.
+    """
+    effects, gradients = attribution.saliency(scale), attribution.saliency("unit")
+    errors, allowed = attribution.saliency_error(scale) or {}, clear_from(attribution.info)
+    small = [
+        name
+        for name, value in attribution.parameter_values.items()
+        if name in shown
+        and _ROUGHNESS & set(name.split("."))
+        and effects.get(name, 0.0) > allowed * errors.get(name, 0.0)
+        # That over the range is the gradient times the length of the range.
+        and effects[name] > _MANY_TIMES * gradients[name] * float(value.mean())
+    ]
+    if not small:
+        return {}
+    small.sort(key=effects.__getitem__, reverse=True)
+    notable = _NOTABLE * max(effects.values())
+    named = [name for name in small if effects[name] > notable] or small[:1]
+    note = (
+        f"{_named(attribution, named, of=len(small))}: a small roughness acts most near 0, so its effect over the "
+        "whole range is overstated; render the change, or measure an ablation"
+    )
+    return {note: small}
+
+
+def _least_roughness_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on roughnesses so low that Mitsuba uses its least one, whatever the value is."""
+    gradients = attribution.saliency("unit")
+    flat = [
+        name
+        for name, value in attribution.parameter_values.items()
+        if name in shown
+        and not gradients[name]
+        and any(
+            float(value.max()) < least for role, least in _LEAST_ROUGHNESS.items() if role in name.split(".")
+        )
+    ]
+    if not flat:
+        return {}
+    note = (
+        f"{_named(attribution, flat)}: Mitsuba renders a roughness this low as its lowest, so the derivative is 0 "
+        "and says nothing of the range; start from a higher one, or render the change"
+    )
+    return {note: flat}

@@ -1,0 +1,81 @@
+"""What a figure's title says: the finding of a result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import partial
+
+from ..protocols import Attribution, RankedParameter, Scale
+from ..student import clear_from
+from ._effect_notes import range_marked, range_notes
+from ._numbers import shorten
+from ._text import FINDING_WIDTH, metric_name
+
+
+def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str | None = None) -> str:
+    """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
+
+    Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
+
+    If the third may be the first as well, "and others" follows. It names only effects that are clear of
+    their noise, and says so if the largest is not, or if one within its noise may be larger. It names no effect
+    with a note (``~``), which may be overstated. ``metric`` is by default its name.
+    """
+    metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
+    most, none = _findings(attribution, metric)
+    allowed = clear_from(attribution.info)
+    noted = range_marked(range_notes(attribution, scale))
+    if not noted and not any(row.saliency for row in ranking):
+        return none
+    if ranking[0].saliency and not _is_clear(ranking[0], allowed):
+        return f"{metric}: the largest effect is within the noise"
+    unmarked = [row for row in ranking if row.name not in noted]
+    if not unmarked or not _is_clear(unmarked[0], allowed):
+        return f"{metric}: see the notes on the effects marked ~"
+    first, *others = [row for row in unmarked if _is_clear(row, allowed)][:3]
+    noisy = [
+        row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
+    ]
+    if noisy:
+        return f"{metric}: the largest effect is uncertain; {_too_large(noisy, allowed)}"
+    tied = [row for row in others if not _are_apart(first, row, allowed)]
+    names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
+    listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
+    aside = "" if first is ranking[0] else ", effects marked ~ aside"
+    return f"{most} {listed}{aside}"
+
+
+def _findings(attribution: Attribution, metric: str) -> tuple[str, str]:
+    """Return what precedes the names of the largest effects, and what is said where all are 0."""
+    kind, terms = attribution.kind, attribution.info.get("terms") or ()
+    if kind.has_sign and "minus" in attribution.info and len(terms) == 1:
+        # Two results of one metric: not it, but their difference is what the effects are of.
+        return "the two results differ most in", "the two results differ in none of these parameters"
+    return kind.finding.format(metric), kind.finding_of_none.format(metric)
+
+
+def _is_clear(row: RankedParameter, allowed: float) -> bool:
+    """Whether a saliency is not 0 and more than the ``allowed`` standard errors from it."""
+    return not row.saliency <= allowed * (row.saliency_error or 0.0)
+
+
+def _upper_end(row: RankedParameter, allowed: float) -> float:
+    """Return the saliency plus the ``allowed`` standard errors."""
+    return row.saliency + allowed * (row.saliency_error or 0.0)
+
+
+def _too_large(noisy: Sequence[RankedParameter], allowed: float) -> str:
+    """Return ``'the error of sky: radiance is too large'``; of several, that of the largest upper end is first."""
+    ordered = sorted(noisy, key=partial(_upper_end, allowed=allowed), reverse=True)
+    named = shorten([row.label for row in ordered[: 1 if len(noisy) > 2 else 2]], FINDING_WIDTH)
+    if len(noisy) == 1:
+        return f"the error of {named[0]} is too large"
+    others = [f"{len(noisy) - 1} others"] if len(noisy) > 2 else []
+    return f"the errors of {' and '.join(named + others)} are too large"
+
+
+def _are_apart(larger: RankedParameter, smaller: RankedParameter, allowed: float) -> bool:
+    """Whether two saliencies differ by more than the ``allowed`` standard errors."""
+    errors = (larger.saliency_error or 0.0, smaller.saliency_error or 0.0)
+    return larger.saliency - smaller.saliency > allowed * math.hypot(*errors)

@@ -1,0 +1,215 @@
+"""Notes on a whole result: how it was sampled, what it is compared with, and what puts it in doubt."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from ..protocols import Attribution, RankedParameter, ResultKind, Scale
+from ._layout import first_few, group_by_text
+from ._numbers import format_with_error, rounded, rounded_up, with_error
+from ._text import LARGE_ERROR, OF_DIFFERENCES, hidden_of, pluralize
+
+_MAX_CAUTIONS = 5
+_ROUNDING = 1e-6  # relative to the explained difference
+
+
+def sampling_notes(attribution: Attribution) -> list[str]:
+    """Return notes on samples, goals, the metric image, interruption and missing error bars."""
+    spp, replicates = attribution.info.get("spp"), attribution.info.get("replicates")
+    counted = None if replicates is None else f"{replicates} replicate{'' if replicates == 1 else 's'}"
+    interrupted = attribution.info.get("interrupted", False)
+    notes = [] if spp is None else [f"{spp} spp"]
+    if interrupted:
+        notes.append(f"interrupted after {counted}" if counted else "interrupted")
+    elif counted:
+        notes = [f"{spp} spp in {counted}" if notes else counted]
+    notes += goal_notes(attribution) + _comparison_notes(attribution)
+    picture = attribution.info.get("picture") or {}
+    if picture.get("denoised"):
+        notes.append("denoised image" + ("" if picture.get("spp") is None else f" of {picture['spp']} spp"))
+    notes += noise_notes(attribution) + _gradient_notes(attribution) + _advice(attribution)
+    if attribution.covariance is None:
+        notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
+    return notes
+
+
+def noise_notes(attribution: Attribution) -> list[str]:
+    """Return a caution if the metric image is too noisy for the metric."""
+    caution = (attribution.info.get("picture") or {}).get("caution")
+    return [f"caution: {caution}"] if caution else []
+
+
+def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
+    """Return what a group named after several shapes is, if there is one among the named rows.
+
+    Its shapes are in other rows as well, with what belongs to each of them alone.
+    """
+    groups, surfaces = attribution.info.get("groups") or {}, attribution.surfaces
+    if surfaces is None:
+        return []
+    for name in names:
+        members = set(groups.get(name, ()))
+        using = zip(surfaces.objects, surfaces.parameters, strict=True)
+        shapes = [shape for shape, used in using if members.intersection(used)]
+        if len(shapes) > 1 and ", ".join(shapes[:2]) in name:
+            return ["a material that several shapes share is one row, with these shapes in parentheses"]
+    return []
+
+
+def unit_notes(
+    attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
+) -> list[str]:
+    """Return a note where numbers per unit of different kinds of parameters are ranked together.
+
+    A reflectance has a range of 1 and a radiance one of hundreds: the order of their numbers per unit says little.
+    """
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    if kind.has_sign and not kind.is_gradient_per_unit:
+        return []
+    kinds = {row.label.rpartition(": ")[2] for row in rows if ": " in row.label}
+    ranges = {
+        round(float(attribution.extents[row.name].max()), 6)
+        for row in rows
+        if row.name in attribution.extents
+    }
+    if len(kinds) < 2 or len(ranges) == 1:
+        return []
+    return ["per unit: compare parameters of one kind only"]
+
+
+def jump_notes(attribution: Attribution) -> list[str]:
+    """Return a note on each pose that has no derivative and is not ranked, or not in some directions."""
+    labels, info = attribution.labels, attribution.info
+    jumps = [
+        f"–  {labels.get(name, name)} is not ranked: {reason}; no derivative"
+        for name, reason in info.get("jumps", {}).items()
+    ]
+    parts = [
+        f"–  {labels.get(name, name)}: {reason}; this direction is left out"
+        for name, reason in info.get("left_out_notes", {}).items()
+    ]
+    return jumps + parts
+
+
+def _gradient_notes(attribution: Attribution) -> list[str]:
+    """Return what the metric says of its gradient, for a method that uses one."""
+    note = attribution.info.get("gradient_note")
+    return [str(note)] if note and attribution.kind not in OF_DIFFERENCES else []
+
+
+def _advice(attribution: Attribution) -> list[str]:
+    """Return what the metric advises against large errors, if the effects have them."""
+    advice, errors = attribution.info.get("advice"), attribution.saliency_error()
+    if not advice or not errors:
+        return []
+    are_large = math.hypot(*errors.values()) > LARGE_ERROR * math.hypot(*attribution.saliency().values())
+    if not are_large:
+        return []
+    if attribution.kind in OF_DIFFERENCES:  # the metric's advice is about its gradient
+        large = f"the errors are large: more samples lower them, {_option('spp')}"
+        return [] if noise_notes(attribution) else [large]
+    has_path = ((attribution.info.get("budget") or {}).get("points") or 1) > 1
+    more = f", and so do more samples of the pictures, {_option('picture_spp')}" if has_path else ""
+    return [f"the errors are large: {advice}{more}"]
+
+
+def _option(keyword: str) -> str:
+    """Return how to set a number, for the readers of both languages: a table may be of either."""
+    return f"{keyword}= in Python, --{keyword.replace('_', '-')} on the command line"
+
+
+def convergence_notes(attribution: Attribution) -> list[str]:
+    """Return a note on whether contributions add up to the difference that they explain, if they explain one."""
+    delta, error = attribution.convergence_delta, attribution.convergence_delta_error
+    if delta is None:
+        return []
+    verdict, explained = attribution.info.get("convergence"), attribution.info.get("explained")
+    if verdict == "inconclusive":
+        verdict += " whether the effects add up"
+    if verdict is None or explained is None:
+        unknown = f"{verdict}: the metric is not finite at the baseline" if not math.isfinite(delta) else ""
+        return [unknown or f"convergence delta {rounded(delta, 2)}"]
+    if abs(delta) <= _ROUNDING * abs(explained):
+        if attribution.kind is ResultKind.SHAPLEY_VALUE:
+            return [f"adds up to {with_error(explained, error)[0]} by construction"]
+        delta = 0.0
+    note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
+    quadrature = attribution.info.get("quadrature_error")
+    if error and quadrature and quadrature > error / 2:
+        note += ", mostly quadrature error: use more steps"
+    elif error and attribution.info.get("convergence") == "inconclusive":
+        draws = " or more n_samples" if attribution.info.get("n_samples") else ""  # of random scenes
+        note += f", mostly noise: use more samples{draws}"
+    return [note]
+
+
+def baseline_notes(attribution: Attribution) -> list[str]:
+    """Return a note on what contributions are compared with, if the user chose it."""
+    compared = attribution.info.get("compared_with")
+    return [f"compared with: {compared}"] if compared else []
+
+
+def _comparison_notes(attribution: Attribution) -> list[str]:
+    """Return a note on the change by another renderer, if it was measured."""
+    against = (attribution.info.get("planner") or {}).get("against")
+    if not against or against["relative_change"] is None:
+        return []
+    names = [f"depth {against['max_depth']}"] if "max_depth" in against else []
+    names += ["×".join(map(str, against["resolution"]))] if "resolution" in against else []
+    change, half_width = 100 * against["relative_change"], 100 * against["relative_half_width"]
+    return [
+        f"{' at '.join(names) or 'the other renderer'} changes ≤ {rounded(change, 2)} ± {rounded(half_width, 2)} %"
+    ]
+
+
+def goal_notes(attribution: Attribution) -> list[str]:
+    """Return a note on the achieved accuracy; nothing if the number of samples was fixed."""
+    planner = attribution.info.get("planner")
+    if planner is None:
+        return []
+    top, tolerance, half_width = planner["top"], planner["tolerance"], planner["relative_half_width"]
+    stopped = "" if planner["reached"] else f", stopped by {planner['stopped']}"
+    if top is not None:
+        tied = sum(len(tier) > 1 for tier in planner["order"] or [])
+        ties = f" except {pluralize(tied, 'tie')}" if tied else ""
+        outcome = f"resolved{ties}" if planner["reached"] else f"not resolved{stopped}"
+        return [f"order of the top {top} {outcome}"]
+    achieved = "unknown" if half_width is None else f"{rounded_up(100 * half_width, 3)} %"
+    if tolerance is None:
+        return [f"95 % half-widths ≤ {achieved} in {planner['time_limit']:g} s"]
+    return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
+
+
+def caution_groups(attribution: Attribution, names: Iterable[str]) -> dict[str, list[str]]:
+    """Group the named parameters whose derivatives are known to be inaccurate by the reason."""
+    cautions = attribution.info.get("cautions") or {}
+    return group_by_text((name, cautions.get(name)) for name in names)
+
+
+def scene_cautions(attribution: Attribution) -> list[str]:
+    """Return a caution for each parameter that is left out because its value in the scene is invalid."""
+    left_out = attribution.info.get("left_out") or {}
+    cautions = [f"{name} is left out: {fault}" for name, fault in left_out.items()]
+    more = len(cautions) - _MAX_CAUTIONS
+    if more <= 0:
+        return cautions
+    return [*cautions[:_MAX_CAUTIONS], f"{more} more are left out"]
+
+
+def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
+    """Group the parameters with unreliable error bars by the reason."""
+    return group_by_text(attribution.untrusted_errors().items())
+
+
+def doubt_notes(
+    doubts: Mapping[str, Sequence[str]], labels: Mapping[str, str], shown: Collection[str], count: int
+) -> list[str]:
+    """Return what the mark ``?`` means: each reason, with the first of the rows that it is about of ``count``."""
+    notes = []
+    for reason, names in doubts.items():
+        first_shown = sorted(names, key=lambda name: name not in shown)
+        named = first_few([labels.get(name, name) for name in first_shown], "; ")
+        whose = ", ".join(filter(None, [named, hidden_of(names, shown)]))
+        notes.append(f"{reason} ({'all parameters' if len(names) == count else whose})")
+    return notes
