@@ -257,7 +257,7 @@ def test_render_noise_is_not_counted_as_variance_of_the_gradient(nt_type):
 )
 def test_error_bars_and_deltas_of_integrated_gradients_are_honest(n_steps, metric):
     """With 24 steps only every third has replicates to estimate its noise."""
-    renderer, repeats = Glowing(noise=0.3), 100
+    renderer, repeats = Glowing(noise=0.3), 50
     found = [
         IntegratedGradientsScene(renderer, metric).attribute(baselines=0.1, n_steps=n_steps, seed=seed)
         for seed in seeds(repeats)

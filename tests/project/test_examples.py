@@ -101,9 +101,10 @@ def test_desk_and_lamp_move_until_the_glare_is_low(
 
 
 def test_the_camera_turns_along_the_gradient_of_a_margin(
-    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     example = load("lost_view")
+    monkeypatch.setattr(example, "SHIFTS", 3)
     found = example.main(tmp_path / "new", spp=16, steps=2, turns=2)
     angles = [view.turn.norm().item() for view in found.steps]
     assert angles[:2] == [0.0, pytest.approx(example.STEP)]
@@ -138,7 +139,7 @@ def test_the_scene_attribution_competes_with_pixels(
 
 def test_a_planted_shortcut_is_found(mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     planted, clean = load("planted_shortcut").main(
-        tmp_path / "new", trainings=1, first_seed=shifted(0), rooms=120, epochs=24, spp=256, steps=8
+        tmp_path / "new", trainings=1, first_seed=shifted(0), rooms=120, epochs=24, spp=256, steps=4
     )
     assert planted.shortcut
     assert not clean.shortcut

@@ -168,7 +168,7 @@ def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, floa
     ids=["fog beside a mirror", "coloured fog in glass", "fog before a lamp", "smoke beside a veil"],
 )
 def test_derivatives_agree_with_differences(mi: Any, scene: Any, steps: dict[str, float]) -> None:
-    renderer = SceneRenderer(scene(mi), list(steps), spp=512)
+    renderer = SceneRenderer(scene(mi), list(steps), spp=256)
     assert_agree_with_differences(renderer, steps, central=True)
 
 
@@ -184,7 +184,7 @@ def test_derivatives_agree_with_differences(mi: Any, scene: Any, steps: dict[str
 def test_derivatives_at_exactly_zero_include_what_is_behind(
     mi: Any, scene: Any, name: str, step: float
 ) -> None:
-    renderer = SceneRenderer(scene(mi), name, spp=512)
+    renderer = SceneRenderer(scene(mi), name, spp=256)
     assert_agree_with_differences(renderer, {name: step}, central=False)
 
 

@@ -155,7 +155,7 @@ def test_the_gradient_of_log_luminance_does_not_depend_on_the_light(mi, cornell)
 @pytest.fixture(scope="module")
 def box(mi):
     inputs = ["back_wall.reflectance.value", "tall_box.reflectance.value", LAMP]
-    return SceneRenderer("cornell-box", inputs, resolution=(16, 16), spp=256, max_depth=4)
+    return SceneRenderer("cornell-box", inputs, resolution=(16, 16), spp=128, max_depth=4)
 
 
 @pytest.mark.parametrize("metric", [metrics.MeanLuminance(), log_mean])
@@ -165,7 +165,7 @@ def test_the_matrix_is_symmetric_and_agrees_with_finite_differences(box, metric)
     assert found.is_symmetric, str(found)
     assert found.unit == ("cd/m²" if metric is not log_mean else "")
     assert found.significant.sum() > 4, f"too noisy to show anything:\n{found}"
-    scenes = Scenes(box, metric, None, seed=shifted(7), spp=256, replicates=PASSES)
+    scenes = Scenes(box, metric, None, seed=shifted(7), spp=128, replicates=PASSES)
     ways = {name: unit_gradient(gradient[name], box.inputs[name]) for name in found.names}
     for (p, one), (q, two) in itertools.combinations_with_replacement(enumerate(found.names), 2):
         steps = {one: found.steps[p] / 2 * ways[one]}, {two: found.steps[q] / 2 * ways[two]}
