@@ -8,6 +8,7 @@ import math
 import pytest
 import torch
 from chance import allowed
+from results import all_text
 from seeds import shifted
 from toy import log_mean
 
@@ -67,10 +68,12 @@ def test_only_what_exceeds_the_noise_of_the_difference_confirms_or_contradicts(p
     )
     test = AblationTest((row,), "brightness")
     assert row.above_noise == (outcome != "too noisy")
+    assert test.is_confirmed == (outcome == "as predicted"), "what was not tested is not confirmed"
+    assert ("measured: opposite sign" in all_text(test.plot())) == (measured[0] < 0)
     assert (
         test.verdict.split(":")[0]
         == {
-            "too noisy": "Nothing to test",
+            "too noisy": "Too noisy to tell",
             "contradicted": "Not confirmed",
             "as predicted": "Confirmed",
         }[outcome]

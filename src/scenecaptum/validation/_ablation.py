@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +31,7 @@ from ..visualization import (
     grid,
     log_axis,
     metric_name,
+    minus,
     name_rows,
     rounded,
     shorten,
@@ -314,20 +316,25 @@ class AblationTest:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether all rows above the noise agree with their predictions, in size and in order."""
-        tau = self.kendall_tau
+        """Whether there are rows above the noise, and all agree with their predictions, in size and in order."""
+        tau, measurable = self.kendall_tau, [row for row in self.rows if row.above_noise]
         ordered = tau is None or tau >= MIN_KENDALL_TAU
-        return ordered and all(row.agrees for row in self.rows if row.above_noise)
+        return bool(measurable) and ordered and all(row.agrees for row in measurable)
 
     @property
     def verdict(self) -> str:
         """The result in one sentence."""
         measurable = [row for row in self.rows if row.above_noise]
+        if not self.rows:
+            return f"Nothing to test: {self.metric} depends on none of these parameters"
         if not measurable:
-            return f"Nothing to test: no parameter changes {self.metric} by more than the noise"
+            return (
+                f"Too noisy to tell: no change of {self.metric} exceeds the noise of its measurement; use more "
+                "samples"
+            )
         agreeing = sum(row.agrees for row in measurable)
         tau = self.kendall_tau
-        order = "no resolved pair to rank" if tau is None else f"Kendall's τ {tau:.2f}"
+        order = "no resolved pair to rank" if tau is None else f"Kendall's τ {minus(f'{tau:.2f}')}"
         return (
             f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
             f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
@@ -409,11 +416,22 @@ def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:
         ax.errorbar(x, y, xerr=xerr, label=label, zorder=2, **style)  # seen behind a dot
     style = {"fmt": "o", "markersize": 4, "elinewidth": 1.2, "capsize": 3, "zorder": 4}
     for color, label in _OUTCOMES.items():
-        shown = {y: row for y, row in enumerate(rows) if _color(row) == color}
-        if shown:
-            values = [abs(row.measured) for row in shown.values()]
-            errors = [row.measured_error for row in shown.values()]
-            ax.errorbar(values, list(shown), xerr=errors, color=color, label=label, **style)
+        shown = {y: row for y, row in enumerate(rows) if _color(row) == color and row.measured >= 0}
+        _draw_measured(ax, shown, color=color, label=label, **style)
+    # A logarithmic axis has no place for a negative one: it is at its magnitude, without a fill.
+    label = "measured: opposite sign"
+    for position, row in enumerate(rows):
+        if row.measured < 0:
+            _draw_measured(
+                ax, {position: row}, color=_color(row), label=label, markerfacecolor="none", **style
+            )
+            label = "_opposite"  # in the legend once
+
+
+def _draw_measured(ax: Axes, rows: Mapping[int, Ablated], **style: Any) -> None:
+    if rows:
+        values = [abs(row.measured) for row in rows.values()]
+        ax.errorbar(values, list(rows), xerr=[row.measured_error for row in rows.values()], **style)
 
 
 def _color(row: Ablated) -> str:
