@@ -62,9 +62,18 @@ _COLOR_PARAMETERS = ("reflectance", "radiance", "irradiance", "color", "transmit
 
 @dataclass(frozen=True)
 class Table:
-    """A table of text below the change of a metric: its caption, its columns, its rows, and notes below it.
+    """A table of text below the change of a metric.
 
-    Each row has as many texts as there are columns; the first names it.
+    Attributes
+    ----------
+    caption
+        What its numbers are.
+    columns
+        The heads of its columns.
+    rows
+        Rows of as many texts as there are columns; the first names the row.
+    notes
+        Sentences below it.
     """
 
     caption: str
