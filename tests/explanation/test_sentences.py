@@ -86,6 +86,14 @@ def test_a_change_that_is_not_linear_is_marked():
     assert line.endswith("predicted, not linear)")
 
 
+def test_a_change_that_is_off_because_of_its_derivative_says_so():
+    biased = rated(24.8, 0.05, cautions={"wall": "its derivative is biased"})
+    (line,) = lines(Explanation(biased, changes=(change(-1.4),)))["What would change it"]
+    assert line.endswith("predicted, derivative known to be biased)")
+    (line,) = lines(Explanation(biased, changes=(change(-0.68),)))["What would change it"]
+    assert line.endswith("predicted)")
+
+
 def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
     said = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.03),)))
     assert "What would change it" not in said
@@ -288,6 +296,25 @@ def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():
     both = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 3}})
     assert [line[:1] for line in effects_of(Explanation(both)) if "?" in line] == ["?"]
     assert effects_of(Explanation(few, count=1)) == [metal, note]
+
+
+def test_an_effect_whose_derivative_is_known_to_be_wrong_has_the_mark_of_the_table():
+    found = with_errors({"metal": (2.0, 0.1), "floor": (1.0, 0.1), "wall": (0.5, 0.1)})
+    counts = {"metal": 3, "floor": 1000, "wall": 1000}
+
+    def said(count: int, **cautions: str) -> list[str]:
+        info = {**found.info, "cautions": cautions, "effective_samples": counts}
+        return effects_of(Explanation(dataclasses.replace(found, info=info), count=count))
+
+    metal, floor, wall, caution, doubt = said(3, metal="it is biased", wall="it is biased")
+    assert metal == "metal: +2.00 ± 0.10 !?"
+    assert (floor, wall) == ("floor: +1.00 ± 0.10", "wall: +0.50 ± 0.10 !")
+    assert (caution, doubt[:2]) == ("! it is biased", "? ")
+    assert said(2, wall="it is biased")[:2] == ["metal: +2.00 ± 0.10 ?", floor]
+    assert not any("!" in line for line in said(2, wall="it is biased")), "the wall is not stated"
+    several = said(3, floor="its size is off", wall="it is biased")
+    assert [line[-2:] for line in several[:3]] == [" ?", "!1", "!2"]
+    assert several[3:5] == ["!1 its size is off", "!2 it is biased"]
 
 
 def test_the_largest_of_several_unclear_effects_are_named_with_the_samples_that_would_tell():

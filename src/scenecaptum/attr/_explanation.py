@@ -15,6 +15,8 @@ from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
+    caution_groups,
+    caution_marks,
     format_with_error,
     metric_name,
     metric_symbol,
@@ -40,6 +42,7 @@ SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 FALSE_ALARMS = 0.05  # allowed for all effects together
 CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
+BIASED = "derivative known to be biased"
 UNSURE_SIZE = " (sign clear, size uncertain)"
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 MOST_NAMED = 3  # of the effects that may be large
@@ -256,8 +259,11 @@ class Explanation:
         }
         # No marks if all would have one.
         partial = [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
-        unsure = dict.fromkeys((name for whose in partial for name in whose), "?")
-        marks = unsure | {name: f"{unsure.get(name, '')}~" for name in range_marked(notes)}
+        cautions = caution_groups(self.attribution, names)
+        wrong = caution_marks(cautions)
+        marks = {name: wrong[reason] for reason, whose in cautions.items() for name in whose}
+        marks |= {name: f"{marks.get(name, '')}?" for whose in partial for name in whose}
+        marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(notes)}
         allowed = self._allowed_errors()
         lines = [
             f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}{self._along(row.name)}"
@@ -268,6 +274,7 @@ class Explanation:
         return [
             *self._larger_lines(unclear, abs(stated[0].effect)),
             *lines,
+            *(f"{mark} {reason}" for reason, mark in wrong.items()),
             *(f"? {reason}" for reason in doubts),
             *(f"~ {note}" for note in notes),
         ]
@@ -353,7 +360,8 @@ class Explanation:
             relaxed = ""
         by = self._exact_difference(change)
         measured = signed(change.measured, change.measured_error)
-        bent = "" if change.is_linear else ", not linear"
+        is_biased = change.name in (self.attribution.info.get("cautions") or {})
+        bent = "" if change.is_linear else f", {BIASED if is_biased else 'not linear'}"
         effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
 

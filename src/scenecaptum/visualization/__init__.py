@@ -62,6 +62,7 @@ from ._maps import plot_overlay as plot_overlay
 from ._maps import shown_render as shown_render
 from ._notes import baseline_notes as baseline_notes
 from ._notes import caution_groups as caution_groups
+from ._notes import caution_marks as caution_marks
 from ._notes import convergence_notes as convergence_notes
 from ._notes import doubt_notes as doubt_notes
 from ._notes import group_notes as group_notes
