@@ -10,6 +10,7 @@ import results
 import torch
 
 from scenecaptum.attr import Change, Definition, Explanation, Row, Source
+from scenecaptum.protocols import ResultKind
 
 UGR = {
     "name": "unified glare rating",
@@ -258,6 +259,28 @@ def with_errors(effects: dict[str, tuple[float, float]]) -> Any:
     )
     covariance = {name: torch.full((1, 1), error**2) for name, (_, error) in effects.items()}
     return dataclasses.replace(found, covariance={**found.covariance, **covariance})
+
+
+def test_a_squared_gradient_has_no_sign_and_the_square_of_the_unit():
+    found = with_errors({"lamp": (37.3, 1.7), "wall": (20.0, 1.0), "floor": (0.02, 40.0)})
+    labels = {"lamp": "lamp: radiance", "wall": "wall: reflectance", "floor": "floor: reflectance"}
+    found = dataclasses.replace(found, labels=labels, extents={**found.extents, "lamp": torch.tensor([4.0])})
+
+    def said(**info: Any) -> Explanation:
+        of_unit = {**found.info, "measure": {"name": "luminance", "unit": "cd/m²"}, **info}
+        return Explanation(dataclasses.replace(found, info=of_unit))
+
+    squared = said(quantity=ResultKind.MEAN_SQUARED_GRADIENT.value)
+    larger, lamp, wall, note = effects_of(squared)
+    assert larger.endswith("floor reflectance (0 ± 40) may exceed those below")
+    assert (lamp, wall) == ("lamp radiance: 37.3 ± 1.7 (cd/m²)²", "wall reflectance: 20.0 ± 1.0 (cd/m²)²")
+    assert note == "per unit: compare parameters of one kind only"
+    (hiding,) = lines(squared)["Too noisy to say"]
+    assert hiding.startswith("floor reflectance (0 ± 40) may have an effect of 20 (cd/m²)² or more")
+    assert "+" not in squared.text()
+    plain = effects_of(said())
+    assert "lamp radiance: +149 ± 7 cd/m²" in plain
+    assert note not in plain
 
 
 def test_a_large_effect_with_a_clear_sign_is_stated_beside_a_small_one_that_is_exact():

@@ -28,6 +28,7 @@ from ..visualization import (
     range_notes,
     rounded,
     terminal_width,
+    unit_notes,
     unit_of_change,
     untrusted_groups,
     verdict,
@@ -43,7 +44,7 @@ FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 FALSE_ALARMS = 0.05  # allowed for all effects together
 CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
 BIASED = "derivative known to be biased"
-UNSURE_SIZE = " (sign clear, size uncertain)"
+UNSURE_SIZE = "size uncertain"
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 MOST_NAMED = 3  # of the effects that may be large
 DEFAULT_EFFECTS = 5
@@ -265,10 +266,11 @@ class Explanation:
         marks |= {name: f"{marks.get(name, '')}?" for whose in partial for name in whose}
         marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(notes)}
         allowed = self._allowed_errors()
+        unsure = f"sign clear, {UNSURE_SIZE}" if self.attribution.kind.has_sign else UNSURE_SIZE
         lines = [
-            f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}{self._along(row.name)}"
+            f"{in_words(row.label)}: {self._effect(row)}{self._along(row.name)}"
             f"{f' {marks[row.name]}' if row.name in marks else ''}"
-            f"{'' if _exceeds(row, allowed) else UNSURE_SIZE}"
+            f"{'' if _exceeds(row, allowed) else f' ({unsure})'}"
             for row in stated
         ]
         return [
@@ -277,6 +279,7 @@ class Explanation:
             *(f"{mark} {reason}" for reason, mark in wrong.items()),
             *(f"? {reason}" for reason in doubts),
             *(f"~ {note}" for note in notes),
+            *unit_notes(self.attribution, stated),
         ]
 
     def _larger_lines(self, unclear: Sequence[RankedParameter], largest: float) -> list[str]:
@@ -290,7 +293,7 @@ class Explanation:
             return []
         first, *others = larger
         more = f" and {pluralize(len(others), 'other')}" if others else ""
-        named = f"{in_words(first.label)} ({signed(first.effect, first.effect_error)}){more}"
+        named = f"{in_words(first.label)} ({self._number(first)}){more}"
         return [f"the largest effect is uncertain: {named} may exceed those below"]
 
     def _change_lines(self) -> list[str]:
@@ -409,6 +412,19 @@ class Explanation:
         """Return a change or an effect with its sign and its unit."""
         return f"{signed(change, error)} {self._unit_of_change()}".rstrip()
 
+    def _effect(self, row: RankedParameter) -> str:
+        """Return an effect with its unit."""
+        return f"{self._number(row)} {self._unit_of_effect()}".rstrip()
+
+    def _number(self, row: RankedParameter) -> str:
+        """Return an effect without its unit; a square or a variance has no sign."""
+        write = signed if self.attribution.kind.has_sign else format_with_error
+        return write(row.effect, row.effect_error)
+
+    def _unit_of_effect(self) -> str:
+        unit = self._unit_of_change()
+        return unit if self.attribution.kind.has_sign or not unit else f"({unit})²"
+
     def _unit_of_change(self) -> str:
         return unit_of_change(metric_unit(self.attribution))
 
@@ -456,7 +472,7 @@ class Explanation:
         leading = sorted(hiding, key=lambda row: -abs(row.effect))[:MOST_NAMED]
         if len(hiding) > 1:  # a small effect in the noise says nothing
             leading = [row for row in leading if abs(row.effect) > smallest]
-        named = [f"{in_words(row.label)} ({signed(row.effect, row.effect_error)})" for row in leading]
+        named = [f"{in_words(row.label)} ({self._number(row)})" for row in leading]
         which = named[0] if len(hiding) == 1 else pluralize(len(hiding), "parameter")
         listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
         all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
@@ -471,7 +487,7 @@ class Explanation:
             remedy = f"{first_told:.0f} times the samples would tell of {whom}"
         else:
             remedy = "this cannot be resolved with a reasonable number of samples"
-        size = f"{rounded(smallest, 2)} {self._unit_of_change()}".rstrip()
+        size = f"{rounded(smallest, 2)} {self._unit_of_effect()}".rstrip()
         return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
 
     def _more_samples(self, error: float, effect: float) -> float:

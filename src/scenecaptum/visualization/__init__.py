@@ -69,6 +69,7 @@ from ._notes import group_notes as group_notes
 from ._notes import noise_notes as noise_notes
 from ._notes import sampling_notes as sampling_notes
 from ._notes import scene_cautions as scene_cautions
+from ._notes import unit_notes as unit_notes
 from ._notes import untrusted_groups as untrusted_groups
 from ._numbers import Format as Format
 from ._numbers import align_decimals as align_decimals

@@ -180,7 +180,8 @@ def _table(
             if is_occlusion
             else "Σ totals over the texels, vertices or faces"
         )
-    if not attribution.kind.has_sign and any(min(row.total) < 0 for row in shown):
+    written = [text for column in columns[3:] for cell in column for text in cell.split()]
+    if not attribution.kind.has_sign and any(text.startswith("−") for text in written):
         notes.append(
             "below 0: not above the noise of rendering, which is subtracted; more samples would show the value"
         )
