@@ -68,6 +68,22 @@ def test_the_table_has_what_was_set_then_clear_changes_and_then_leading_effects(
     assert above == "effect: first-order change of Glare over the range of the parameter"
 
 
+def test_a_derivative_that_is_known_to_be_wrong_is_marked() -> None:
+    both = {"lamp": "it is biased"}
+    before = with_ranges(results.make(cautions=both))
+    text = text_of(before, scaled(with_ranges(results.make(cautions=both)), rough=1.5))
+    assert [line.split("  ")[0] for line in rows_of(text) if "!" in line] == ["lamp !"]
+    assert "  ! it is biased" in text
+    # Of one design alone, such as a mirror that the other does not have.
+    after = with_ranges(results.make(cautions={**both, "wall": "it is biased", "rough": "its size is off"}))
+    text = text_of(before, scaled(after, rough=1.5))
+    labels = [line.split("  ")[0] for line in rows_of(text) if "!" in line]
+    assert labels == ["desk: roughness !2", "lamp !1", "wall !1"]
+    assert "  !1 it is biased" in text
+    assert "  !2 B: its size is off" in text
+    assert not any("!" in line for line in text_of(with_ranges(results.make()), with_ranges(results.make())))
+
+
 def test_clear_changes_that_are_not_shown_are_counted() -> None:
     before = results.make()
     factors = {"lamp": 2.0, "rough": 1.5, "tiny": 3.0}  # the effect of tiny is a millionth of the lamp's

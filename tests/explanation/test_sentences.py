@@ -10,6 +10,7 @@ import results
 import torch
 
 from scenecaptum.attr import Change, Definition, Explanation, Row, Source
+from scenecaptum.protocols import ResultKind
 
 UGR = {
     "name": "unified glare rating",
@@ -84,6 +85,14 @@ def test_a_change_that_is_not_linear_is_marked():
     assert not change(-1.4).is_linear
     (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-1.4),)))["What would change it"]
     assert line.endswith("predicted, not linear)")
+
+
+def test_a_change_that_is_off_because_of_its_derivative_says_so():
+    biased = rated(24.8, 0.05, cautions={"wall": "its derivative is biased"})
+    (line,) = lines(Explanation(biased, changes=(change(-1.4),)))["What would change it"]
+    assert line.endswith("predicted, derivative known to be biased)")
+    (line,) = lines(Explanation(biased, changes=(change(-0.68),)))["What would change it"]
+    assert line.endswith("predicted)")
 
 
 def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
@@ -252,6 +261,28 @@ def with_errors(effects: dict[str, tuple[float, float]]) -> Any:
     return dataclasses.replace(found, covariance={**found.covariance, **covariance})
 
 
+def test_a_squared_gradient_has_no_sign_and_the_square_of_the_unit():
+    found = with_errors({"lamp": (37.3, 1.7), "wall": (20.0, 1.0), "floor": (0.02, 40.0)})
+    labels = {"lamp": "lamp: radiance", "wall": "wall: reflectance", "floor": "floor: reflectance"}
+    found = dataclasses.replace(found, labels=labels, extents={**found.extents, "lamp": torch.tensor([4.0])})
+
+    def said(**info: Any) -> Explanation:
+        of_unit = {**found.info, "measure": {"name": "luminance", "unit": "cd/m²"}, **info}
+        return Explanation(dataclasses.replace(found, info=of_unit))
+
+    squared = said(quantity=ResultKind.MEAN_SQUARED_GRADIENT.value)
+    larger, lamp, wall, note = effects_of(squared)
+    assert larger.endswith("floor reflectance (0 ± 40) may exceed those below")
+    assert (lamp, wall) == ("lamp radiance: 37.3 ± 1.7 (cd/m²)²", "wall reflectance: 20.0 ± 1.0 (cd/m²)²")
+    assert note == "per unit: compare parameters of one kind only"
+    (hiding,) = lines(squared)["Too noisy to say"]
+    assert hiding.startswith("floor reflectance (0 ± 40) may have an effect of 20 (cd/m²)² or more")
+    assert "+" not in squared.text()
+    plain = effects_of(said())
+    assert "lamp radiance: +149 ± 7 cd/m²" in plain
+    assert note not in plain
+
+
 def test_a_large_effect_with_a_clear_sign_is_stated_beside_a_small_one_that_is_exact():
     """Also where noise alone would reach as many errors at one of so many parameters."""
     small = {f"noise{index}": (1e-5, 1e-3) for index in range(60)}
@@ -288,6 +319,25 @@ def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():
     both = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 3}})
     assert [line[:1] for line in effects_of(Explanation(both)) if "?" in line] == ["?"]
     assert effects_of(Explanation(few, count=1)) == [metal, note]
+
+
+def test_an_effect_whose_derivative_is_known_to_be_wrong_has_the_mark_of_the_table():
+    found = with_errors({"metal": (2.0, 0.1), "floor": (1.0, 0.1), "wall": (0.5, 0.1)})
+    counts = {"metal": 3, "floor": 1000, "wall": 1000}
+
+    def said(count: int, **cautions: str) -> list[str]:
+        info = {**found.info, "cautions": cautions, "effective_samples": counts}
+        return effects_of(Explanation(dataclasses.replace(found, info=info), count=count))
+
+    metal, floor, wall, caution, doubt = said(3, metal="it is biased", wall="it is biased")
+    assert metal == "metal: +2.00 ± 0.10 !?"
+    assert (floor, wall) == ("floor: +1.00 ± 0.10", "wall: +0.50 ± 0.10 !")
+    assert (caution, doubt[:2]) == ("! it is biased", "? ")
+    assert said(2, wall="it is biased")[:2] == ["metal: +2.00 ± 0.10 ?", floor]
+    assert not any("!" in line for line in said(2, wall="it is biased")), "the wall is not stated"
+    several = said(3, floor="its size is off", wall="it is biased")
+    assert [line[-2:] for line in several[:3]] == [" ?", "!1", "!2"]
+    assert several[3:5] == ["!1 its size is off", "!2 it is biased"]
 
 
 def test_the_largest_of_several_unclear_effects_are_named_with_the_samples_that_would_tell():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +130,32 @@ def test_parameters_without_any_path_are_marked(mi: Any, tmp_path: Path) -> None
     without = VanillaSceneGradient(renderer, lambda image: image.clamp(max=-1.0).mean()).attribute()
     assert not any(without.effects().values())
     assert without.untrusted_errors() == {}
+
+
+def test_an_exact_zero_of_few_samples_is_a_result(mi: Any) -> None:
+    """The absorption of a perfect mirror, whose eta is 0, has no derivative, however few samples there are."""
+    scene = bulb(mi, sky={"type": "constant"})
+    del scene["bulb"]["emitter"]
+    scene["bulb"]["bsdf"] = {
+        "type": "conductor",
+        "eta": {"type": "rgb", "value": 0.0},
+        "k": {"type": "rgb", "value": 3.0},
+    }
+    zero, other = (f"bulb.bsdf.{role}.value" for role in ("k", "specular_reflectance"))
+    found = VanillaSceneGradient(SceneRenderer(scene, [zero, other]), metrics.MeanLuminance()).attribute(
+        spp=SPP
+    )
+    assert found[other].all()
+    assert not found.replicates[zero].any()
+
+    def doubtful(count: float, one: SceneAttribution = found) -> set[str]:
+        info = {**one.info, "effective_samples": dict.fromkeys(one, count)}
+        return set(dataclasses.replace(one, info=info).untrusted_errors())
+
+    assert doubtful(3.0) == {other}, "its error is of as few samples, but not 0"
+    # Where less than one sample is expected, 0 says nothing; and a difference may be 0 as that of equal values.
+    assert doubtful(0.5) == doubtful(0.0) == {zero, other}
+    assert doubtful(3.0, found - found) == {zero, other}
 
 
 @pytest.fixture(scope="module")

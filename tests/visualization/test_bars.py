@@ -129,6 +129,16 @@ def test_no_title_names_an_effect_that_is_overstated(draw: Any) -> None:
     assert "aside" not in smaller
 
 
+@pytest.mark.parametrize("draw", [plot_heatmap, plot_overlay])
+def test_a_map_says_which_derivatives_are_known_to_be_wrong(draw: Any) -> None:
+    figure = draw(make(cautions={"rough": "its size is off", "tiny": "its size is off"}))
+    assert "! its size is off (desk: roughness; tiny)" in " ".join(all_text(figure).split())
+    assert outside(figure) == []
+    other = draw(make(cautions={"rough": "its size is off"}), parameter="floor")
+    assert "!" not in all_text(other)
+    assert "!" not in all_text(draw(make()))
+
+
 @pytest.mark.parametrize(
     "rows", [[METAL], [METAL, ("desk.reflectance", 0.01, 0.5)], [("metal.alpha", 0.0, 0.0)]]
 )

@@ -624,6 +624,44 @@ def test_specificity_takes_one_attribution_or_a_figure_and_marks_doubt() -> None
         plot_specificity([])
 
 
+def test_specificity_has_the_cautions_of_its_columns() -> None:
+    caution = {"caution": "the picture is noisy"}
+    good = {"convergence": "adds up", "explained": 1.0}
+    bad = dataclasses.replace(
+        make(metric="Luminance", convergence="does not add up", explained=1.0, picture=caution),
+        convergence_delta=0.2,
+        convergence_delta_error=0.01,
+    )
+    fine = dataclasses.replace(
+        make(picture=caution, **good), convergence_delta=0.0, convergence_delta_error=0.01
+    )
+
+    def text_of(*columns: SceneAttribution) -> str:
+        figure = plot_specificity(columns, top=3)
+        assert outside(figure) == []
+        return " ".join(all_text(figure).split())
+
+    text = text_of(fine, bad)
+    assert text.count("error bars: ± 1 standard error") == 1
+    assert text.count("caution: the picture is noisy") == 1
+    assert "Luminance: caution" not in text
+    assert "Luminance: does not add up: delta 0.200 ± 0.010 of 1.00" in text
+    assert " adds up" not in text
+    # Only one of them has error bars, or is of a noisy picture; and of one metric by two methods, or by one.
+    assert "Glare: error bars: ± 1" in text_of(make(), make(barred=False, metric="Luminance"))
+    assert "Other: caution: the picture" in text_of(make(), make(method="Other", picture=caution))
+    assert "column 2: caution: the picture" in text_of(make(), make(picture=caution))
+    assert "column 1, column 3: caution: the picture" in text_of(fine, make(), fine)
+    assert "standard error" not in text_of(make(barred=False), make(barred=False))
+
+
+def test_specificity_says_which_derivatives_are_known_to_be_wrong() -> None:
+    cautioned = make(cautions={"rough": "its size is off", "tiny": "its sign is off"})
+    text = " ".join(all_text(plot_specificity([cautioned, make(metric="Luminance")], top=5)).split())
+    assert text.count("! its size is off (desk: roughness)") == 1
+    assert "its sign is off" not in text, "it is not shown"
+
+
 def test_no_text_of_many_columns_is_cut_off() -> None:
     assert outside(plot_specificity([make(), lengthy(), make(barred=False)])) == []
 

@@ -152,6 +152,13 @@ def test_table_explains_squares_below_0(quantity: ResultKind) -> None:
     positive = dataclasses.replace(result, attributions={n: v.abs() for n, v in result.items()})
     assert note not in table_text(positive)
     assert note not in table_text(make())
+    # One whose digits are those of 0 is no number below 0.
+    rounded = {**positive.attributions, "tiny": torch.tensor(-1e-11), "noisy": torch.tensor(-1e-5)}
+    text = table_text(dataclasses.replace(positive, attributions=rounded))
+    assert "−" not in re.sub(r"e−\d+", "", text), "the exponents of small numbers aside"
+    assert note not in text
+    below = {**rounded, "noisy": torch.tensor(-0.02)}
+    assert note in table_text(dataclasses.replace(positive, attributions=below))
 
 
 def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:

@@ -15,6 +15,8 @@ from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import (
     axis_label,
+    caution_groups,
+    caution_marks,
     format_with_error,
     metric_name,
     metric_symbol,
@@ -26,6 +28,7 @@ from ..visualization import (
     range_notes,
     rounded,
     terminal_width,
+    unit_notes,
     unit_of_change,
     untrusted_groups,
     verdict,
@@ -40,7 +43,8 @@ SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 FALSE_ALARMS = 0.05  # allowed for all effects together
 CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
-UNSURE_SIZE = " (sign clear, size uncertain)"
+BIASED = "derivative known to be biased"
+UNSURE_SIZE = "size uncertain"
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 MOST_NAMED = 3  # of the effects that may be large
 DEFAULT_EFFECTS = 5
@@ -256,20 +260,26 @@ class Explanation:
         }
         # No marks if all would have one.
         partial = [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
-        unsure = dict.fromkeys((name for whose in partial for name in whose), "?")
-        marks = unsure | {name: f"{unsure.get(name, '')}~" for name in range_marked(notes)}
+        cautions = caution_groups(self.attribution, names)
+        wrong = caution_marks(cautions)
+        marks = {name: wrong[reason] for reason, whose in cautions.items() for name in whose}
+        marks |= {name: f"{marks.get(name, '')}?" for whose in partial for name in whose}
+        marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(notes)}
         allowed = self._allowed_errors()
+        unsure = f"sign clear, {UNSURE_SIZE}" if self.attribution.kind.has_sign else UNSURE_SIZE
         lines = [
-            f"{in_words(row.label)}: {self._by(row.effect, row.effect_error)}{self._along(row.name)}"
+            f"{in_words(row.label)}: {self._effect(row)}{self._along(row.name)}"
             f"{f' {marks[row.name]}' if row.name in marks else ''}"
-            f"{'' if _exceeds(row, allowed) else UNSURE_SIZE}"
+            f"{'' if _exceeds(row, allowed) else f' ({unsure})'}"
             for row in stated
         ]
         return [
             *self._larger_lines(unclear, abs(stated[0].effect)),
             *lines,
+            *(f"{mark} {reason}" for reason, mark in wrong.items()),
             *(f"? {reason}" for reason in doubts),
             *(f"~ {note}" for note in notes),
+            *unit_notes(self.attribution, stated),
         ]
 
     def _larger_lines(self, unclear: Sequence[RankedParameter], largest: float) -> list[str]:
@@ -283,7 +293,7 @@ class Explanation:
             return []
         first, *others = larger
         more = f" and {pluralize(len(others), 'other')}" if others else ""
-        named = f"{in_words(first.label)} ({signed(first.effect, first.effect_error)}){more}"
+        named = f"{in_words(first.label)} ({self._number(first)}){more}"
         return [f"the largest effect is uncertain: {named} may exceed those below"]
 
     def _change_lines(self) -> list[str]:
@@ -353,7 +363,8 @@ class Explanation:
             relaxed = ""
         by = self._exact_difference(change)
         measured = signed(change.measured, change.measured_error)
-        bent = "" if change.is_linear else ", not linear"
+        is_biased = change.name in (self.attribution.info.get("cautions") or {})
+        bent = "" if change.is_linear else f", {BIASED if is_biased else 'not linear'}"
         effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
 
@@ -400,6 +411,19 @@ class Explanation:
     def _by(self, change: float, error: float | None) -> str:
         """Return a change or an effect with its sign and its unit."""
         return f"{signed(change, error)} {self._unit_of_change()}".rstrip()
+
+    def _effect(self, row: RankedParameter) -> str:
+        """Return an effect with its unit."""
+        return f"{self._number(row)} {self._unit_of_effect()}".rstrip()
+
+    def _number(self, row: RankedParameter) -> str:
+        """Return an effect without its unit; a square or a variance has no sign."""
+        write = signed if self.attribution.kind.has_sign else format_with_error
+        return write(row.effect, row.effect_error)
+
+    def _unit_of_effect(self) -> str:
+        unit = self._unit_of_change()
+        return unit if self.attribution.kind.has_sign or not unit else f"({unit})²"
 
     def _unit_of_change(self) -> str:
         return unit_of_change(metric_unit(self.attribution))
@@ -448,7 +472,7 @@ class Explanation:
         leading = sorted(hiding, key=lambda row: -abs(row.effect))[:MOST_NAMED]
         if len(hiding) > 1:  # a small effect in the noise says nothing
             leading = [row for row in leading if abs(row.effect) > smallest]
-        named = [f"{in_words(row.label)} ({signed(row.effect, row.effect_error)})" for row in leading]
+        named = [f"{in_words(row.label)} ({self._number(row)})" for row in leading]
         which = named[0] if len(hiding) == 1 else pluralize(len(hiding), "parameter")
         listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
         all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
@@ -463,7 +487,7 @@ class Explanation:
             remedy = f"{first_told:.0f} times the samples would tell of {whom}"
         else:
             remedy = "this cannot be resolved with a reasonable number of samples"
-        size = f"{rounded(smallest, 2)} {self._unit_of_change()}".rstrip()
+        size = f"{rounded(smallest, 2)} {self._unit_of_effect()}".rstrip()
         return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
 
     def _more_samples(self, error: float, effect: float) -> float:

@@ -44,7 +44,10 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
         # The counts are those of a few paths: the samples themselves may have reached what these did not.
         name: FEW_SAMPLES if count or attribution[name].any() else NO_SAMPLES
         for name, count in counts
-        if count < MIN_EFFECTIVE_SAMPLES and name in attribution
+        if count < MIN_EFFECTIVE_SAMPLES
+        and name in attribution
+        # Exactly 0 in all samples is a result, if there are samples. That of a difference may be x − x.
+        and not (count >= 1 and "minus" not in attribution.info and _is_exactly_zero(attribution, name))
     }
     for name, rows in attribution.replicates.items():
         if has_dominating_replicate(rows, FALSE_ALARM_RATE / len(attribution)):  # Bonferroni correction
@@ -52,6 +55,13 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
                 "one replicate has nearly all of the spread: a rare bright path, and others may be missing"
             )
     return reasons
+
+
+def _is_exactly_zero(attribution: AttributionData, name: str) -> bool:
+    """Whether an attribution is 0 in every replicate, so that its error is 0, too."""
+    assert attribution.covariance is not None
+    tensors = (attribution.attributions, attribution.standard_error or {}, attribution.replicates)
+    return not any(bool(one[name].any()) for one in (*tensors, attribution.covariance) if name in one)
 
 
 def median_of_means(attribution: A) -> A:

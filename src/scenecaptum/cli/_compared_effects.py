@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -14,6 +14,8 @@ from ..report import Table, different_values
 from ..visualization import (
     Format,
     axis_label,
+    caution_groups,
+    caution_marks,
     first_few,
     metric_unit,
     pluralize,
@@ -95,17 +97,20 @@ def effect_table(
     if not found:
         return None
     shown = _shown(found, different_values(before, after))
-    notes = _notes(before, after, titles, [one.name for one in shown])
-    marked = range_marked(notes)
+    names = [one.name for one in shown]
+    cautions = _of_both(titles, *(caution_groups(one, names) for one in (before, after)))
+    notes = _of_both(titles, *(range_notes(one, among=names) for one in (before, after)))
+    marks = _marks(cautions, range_marked(notes))
     is_noisy = {one.name for one in shown if one.error and not (one.is_clear or one.is_equal)}
     rows = []
     for one in shown:
         first, second, change = one.numbers()
-        label = f"{one.label} ~" if one.name in marked else one.label
+        label = f"{one.label} {marks[one.name]}" if one.name in marks else one.label
         rows.append((label, first, second, f"{change} {NOISE}" if one.name in is_noisy else change))
     of_what = ", of the relaxed value" if relaxed else ""
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
-    below = [f"~ {note}" for note in notes]
+    below = [f"{mark} {text}" for text, mark in caution_marks(cautions).items()]
+    below += [f"~ {note}" for note in notes]
     below += [f"{NOISE} change within the noise"] if is_noisy else []
     return Table(
         f"effect: {axis_label(after, width=None)}{of_what}",
@@ -238,16 +243,24 @@ def _left_out(hidden: Sequence[ComparedEffect]) -> list[str]:
     return [f"not shown: {pluralize(len(hidden), 'effect')}{which}"]
 
 
-def _notes(
-    before: SceneAttribution, after: SceneAttribution, titles: Sequence[str], shown: Sequence[str]
+def _marks(cautions: Mapping[str, Sequence[str]], noted: Collection[str]) -> dict[str, str]:
+    """Return the marks of the parameters that have any: those of their cautions, and ``~``."""
+    marks: dict[str, str] = {}
+    for text, mark in caution_marks(cautions).items():
+        marks |= {name: f"{marks.get(name, '')}{mark}" for name in cautions[text]}
+    return marks | {name: f"{marks.get(name, '')}~" for name in noted}
+
+
+def _of_both(
+    titles: Sequence[str], first: Mapping[str, list[str]], second: Mapping[str, list[str]]
 ) -> dict[str, list[str]]:
-    """Return the notes on the effects that are shown; those of one result alone begin with its title."""
-    first, second = (range_notes(one, among=shown) for one in (before, after))
-    return {
-        text if text in first and text in second else f"{title}: {text}": names
-        for title, notes in zip(titles, (first, second), strict=True)
-        for text, names in notes.items()
-    }
+    """Return the notes of both results, with their parameters; those of one alone begin with its title."""
+    found: dict[str, list[str]] = {}
+    for title, notes in zip(titles, (first, second), strict=True):
+        for text, names in notes.items():
+            note = text if text in first and text in second else f"{title}: {text}"
+            found[note] = list(dict.fromkeys([*found.get(note, []), *names]))
+    return found
 
 
 def _named(one: SceneAttribution, names: Sequence[str]) -> str:

@@ -62,12 +62,14 @@ from ._maps import plot_overlay as plot_overlay
 from ._maps import shown_render as shown_render
 from ._notes import baseline_notes as baseline_notes
 from ._notes import caution_groups as caution_groups
+from ._notes import caution_marks as caution_marks
 from ._notes import convergence_notes as convergence_notes
 from ._notes import doubt_notes as doubt_notes
 from ._notes import group_notes as group_notes
 from ._notes import noise_notes as noise_notes
 from ._notes import sampling_notes as sampling_notes
 from ._notes import scene_cautions as scene_cautions
+from ._notes import unit_notes as unit_notes
 from ._notes import untrusted_groups as untrusted_groups
 from ._numbers import Format as Format
 from ._numbers import align_decimals as align_decimals

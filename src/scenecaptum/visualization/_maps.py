@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..denoising import denoise
@@ -34,7 +35,7 @@ from ._figures import (
     new_figure,
 )
 from ._layout import wrapped_lines
-from ._notes import noise_notes
+from ._notes import caution_groups, doubt_notes, noise_notes
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
     axis_label,
@@ -110,7 +111,7 @@ def plot_heatmap(
         denoised = denoised or _is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
         unclear = _unclear_note(attribution, options, "white") if signed else ""
-        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options.get("scale"), unclear)
+        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, unclear)
         left.imshow(render)
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
@@ -156,7 +157,7 @@ def plot_overlay(
     bar = None
     if ax is None:
         unclear = _unclear_note(attribution, options, "grey") if signed else ""
-        ax, bar = _panels(attribution, heat, 1, figsize, title, options.get("scale"), unclear)
+        ax, bar = _panels(attribution, heat, 1, figsize, title, options, unclear)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
@@ -253,8 +254,7 @@ def _map_title(
     scale: Scale | None = options.get("scale")
     if not any(attribution.saliency(scale).values()):
         return "all effects are 0"
-    parameter, maximum = options.get("parameter") or [], options.get("maximum")
-    names = [parameter] if isinstance(parameter, str) else parameter
+    names, maximum = _selected(options), options.get("maximum")
     selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
     quantity = axis_label(attribution, scale, metric="the metric")
     if not signed and attribution.kind.has_sign and not attribution.ranks_by_norm(scale):
@@ -303,10 +303,11 @@ def _panels(
     count: int,
     limits: tuple[float, float],
     heading: str,
-    scale: Scale | None,
+    options: dict[str, Any],
     unclear: str,
 ) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
+    scale: Scale | None = options.get("scale")
     w = _width(None, heat, count, limits)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
@@ -322,6 +323,7 @@ def _panels(
     line_length = characters_per_line(width - 0.2, SMALL)
     packed = [
         *pack([note for note in notes if note], line_length),
+        *(f"! {note}" for note in _caution_notes(attribution, _selected(options))),
         *(f"~ {note}" for note in range_notes(attribution, scale)),
     ]
     caption = [line for note in packed for line in wrapped_lines(note, line_length)]
@@ -340,6 +342,18 @@ def _panels(
     for axes in images:
         axes.set_axis_off()
     return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
+
+
+def _selected(options: dict[str, Any]) -> Sequence[str]:
+    """Return the parameters that a map is of; none if it is of all."""
+    parameter = options.get("parameter") or []
+    return [parameter] if isinstance(parameter, str) else parameter
+
+
+def _caution_notes(attribution: Attribution, selected: Sequence[str]) -> list[str]:
+    """Return why derivatives that a map shows are known to be inaccurate, with the first of their parameters."""
+    shown = selected or list(attribution)
+    return doubt_notes(caution_groups(attribution, shown), attribution.labels, shown, len(attribution))
 
 
 def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:

@@ -187,6 +187,11 @@ def caution_groups(attribution: Attribution, names: Iterable[str]) -> dict[str, 
     return group_by_text((name, cautions.get(name)) for name in names)
 
 
+def caution_marks(groups: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return the mark of each reason of ``caution_groups``: ``!``, with a number if there are several."""
+    return {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
+
+
 def scene_cautions(attribution: Attribution) -> list[str]:
     """Return a caution for each parameter that is left out because its value in the scene is invalid."""
     left_out = attribution.info.get("left_out") or {}

@@ -24,6 +24,7 @@ from ._figures import (
 from ._finding import finding
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
+from ._notes import caution_groups, convergence_notes, doubt_notes, noise_notes
 from ._text import FINDING_WIDTH, axis_label, method_name, metric_name, with_unit_of_effects
 
 if TYPE_CHECKING:
@@ -77,8 +78,8 @@ def plot_specificity(
     rows = [first(attribution.ranking(scale=scale), top) for attribution in attributions]
     maps = 0.1 + min(max(_COLUMN_WIDTH * heat.shape[0] / heat.shape[1] for heat in heats), _MAX_MAP_HEIGHT)
     columns = len(attributions)
-    marks = _marks(attributions, rows, scale)
-    maps += 1.4 * SMALL / 72 * len(marks)
+    footnotes = _footnotes(attributions, rows, scale)
+    maps += 1.4 * SMALL / 72 * len(footnotes)
     heading, titles = _titles(attributions, scale)
     labels = _labels(attributions, scale, is_named=bool(heading))
     legend: dict[Any, Any] = {}
@@ -106,8 +107,8 @@ def plot_specificity(
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
     axes = lower.subplots(1, columns, squeeze=False)[0]
-    if marks:
-        lower.supxlabel("\n".join(marks), fontsize=SMALL, x=0.02, ha="left", parse_math=False)
+    if footnotes:
+        lower.supxlabel("\n".join(footnotes), fontsize=SMALL, x=0.02, ha="left", parse_math=False)
     mapped = [draw_map(ax, heat, signed=signed) for ax, heat in zip(axes, heats, strict=True)]
     bar = draw_colorbar(mapped[-1], signed, norm, ax=list(axes), aspect=18, pad=0.02)
     noisy = signed and any(objects_of_unclear_sign(one, scale=scale) for one in attributions)
@@ -116,15 +117,46 @@ def plot_specificity(
     return figure_of(part)
 
 
-def _marks(
+def _footnotes(
     attributions: Sequence[Attribution], rows: Sequence[Sequence[RankedParameter]], scale: Scale | None
 ) -> list[str]:
-    """Return what the marks ``~`` and ``?`` beside names mean, in lines as wide as the figure."""
+    """Return notes on whole results, and what the marks beside names mean, in lines as wide as the figure."""
     width = characters_per_line(0.95 * _COLUMN_WIDTH * len(attributions), SMALL)
     pairs = list(zip(attributions, rows, strict=True))
-    notes = [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
+    notes = _notes_of_results(attributions)
+    notes += [f"! {note}" for one, ranked in pairs for note in _cautions(one, ranked)]
+    notes += [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
     notes += [f"? {doubt}" for one, ranked in pairs for doubt in bar_doubts(one, ranked)]
     return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
+
+
+def _notes_of_results(attributions: Sequence[Attribution]) -> list[str]:
+    """Return the cautions of results and what their error bars are; what not all share begins with its column."""
+    columns: dict[str, list[str]] = {}
+    for name, one in zip(_column_names(attributions), attributions, strict=True):
+        bars = [] if one.covariance is None else ["error bars: ± 1 standard error"]
+        adds_up = one.info.get("convergence") in (None, "adds up")
+        for note in [*bars, *noise_notes(one), *([] if adds_up else convergence_notes(one))]:
+            columns.setdefault(note, []).append(name)
+    return [
+        note if len(names) == len(attributions) else f"{', '.join(names)}: {note}"
+        for note, names in columns.items()
+    ]
+
+
+def _column_names(attributions: Sequence[Attribution]) -> list[str]:
+    """Return what tells the columns apart: their metrics, or else their methods, or else their numbers."""
+    metrics = [metric_name(one, FINDING_WIDTH) for one in attributions]
+    for names in (metrics, list(map(method_name, attributions))):
+        if len(set(names)) == len(names):
+            return names
+    return [f"column {number}" for number in range(1, len(attributions) + 1)]
+
+
+def _cautions(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
+    """Return why derivatives of these rows are known to be inaccurate."""
+    names = [row.name for row in rows]
+    return doubt_notes(caution_groups(attribution, names), attribution.labels, names, len(attribution))
 
 
 def _titles(attributions: Sequence[Attribution], scale: Scale | None) -> tuple[list[str], list[str]]:

@@ -15,6 +15,7 @@ from ._layout import grid, wrap
 from ._notes import (
     baseline_notes,
     caution_groups,
+    caution_marks,
     convergence_notes,
     doubt_notes,
     group_notes,
@@ -134,7 +135,7 @@ def _table(
     shown = ranking if top is None else ranking[:top]
     with_rows = {row.name for row in shown}
     groups = caution_groups(attribution, (row.name for row in ranking))
-    markers = {text: f"!{number}" if len(groups) > 1 else "!" for number, text in enumerate(groups, start=1)}
+    markers = caution_marks(groups)
     marks = {name: markers[text] for text, names in groups.items() for name in names}
     untrusted = untrusted_groups(attribution)
     for names in untrusted.values():
@@ -179,7 +180,8 @@ def _table(
             if is_occlusion
             else "Σ totals over the texels, vertices or faces"
         )
-    if not attribution.kind.has_sign and any(min(row.total) < 0 for row in shown):
+    written = [text for column in columns[3:] for cell in column for text in cell.split()]
+    if not attribution.kind.has_sign and any(text.startswith("−") for text in written):
         notes.append(
             "below 0: not above the noise of rendering, which is subtracted; more samples would show the value"
         )
