@@ -65,7 +65,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
     of the value, ``noise`` the relative noise of the pixels, ``standard_error`` as of ``pixel_error``, and
     ``metric`` may have classes of its values and cautions of its own, also of the ``image``. ``compares`` says
-    the effects are differences of values, which have its bias, and ``shows_a_view`` that the image is a picture.
+    that the effects are differences of values, which have its bias, and ``shows_a_view`` that it is a picture.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
