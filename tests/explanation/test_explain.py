@@ -116,6 +116,26 @@ def test_changes_go_towards_the_goal(mi):
     assert lowered.predicted < 0
 
 
+@pytest.mark.parametrize("run", range(3))
+def test_the_prediction_of_a_dimmed_map_has_the_error_of_its_scale(mi, run: int):
+    texels = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(shifted(run)))
+    scene = {
+        "type": "scene",
+        "view": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f().look_at([0, -3, 1], [0, 0, 0], [0, 0, 1]),
+        },
+        "floor": {"type": "rectangle", "bsdf": {"type": "diffuse"}},
+        "sky": {"type": "envmap", "bitmap": mi.Bitmap(texels.pow(4).numpy())},
+    }
+    errors = []
+    for name in ("sky.data", "sky.scale"):
+        renderer = SceneRenderer(scene, name, resolution=(8, 8), spp=16, max_depth=3)
+        (change,) = explain(renderer, metrics.MeanLuminance(), changes=1, seed=shifted(run)).changes
+        errors.append(change.predicted_error)
+    assert errors[0] == pytest.approx(errors[1], rel=0.2)
+
+
 def test_a_goal_is_reached_by_the_leading_parameter_alone_if_that_is_enough(mi):
     inputs = ["floor.reflectance.value", "light.emitter.radiance.value"]
     box = SceneRenderer("cornell-box", inputs, resolution=(16, 16), spp=64, max_depth=3)

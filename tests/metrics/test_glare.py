@@ -6,7 +6,7 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum import Camera, SceneCaptumError
+from scenecaptum import Camera, SceneCaptumError, SceneRenderer, VanillaSceneGradient
 from scenecaptum.metrics import (
     ContrastRatio,
     DaylightGlareIndex,
@@ -16,6 +16,7 @@ from scenecaptum.metrics import (
     VerticalIlluminance,
     position_index,
 )
+from scenecaptum.visualization import noise_notes
 
 CAMERA = Camera.perspective(12, 8, 80)
 FISHEYE = Camera.fisheye(10, 10)
@@ -382,6 +383,20 @@ def test_contrast_does_not_depend_on_the_exposure_and_is_finite_in_black():
     half = torch.zeros(4, 4, 3)
     half[:2] = 1.0
     assert math.isfinite(ContrastRatio()(half).item())
+
+
+def test_a_contrast_to_black_has_a_caution():
+    half = torch.zeros(4, 4, 3)
+    half[:2] = 1.0
+    caution = "the 5th percentile is black: the ratio is to the floor of 1e-06 and means nothing"
+    assert ContrastRatio().caution_of(half) == caution
+    assert ContrastRatio().caution_of(half + 1e-8).startswith("the 5th percentile is below 1e-06: ")
+    assert ContrastRatio().caution_of(half + 0.1) == ""
+    room = SceneRenderer("cornell-box", "light.emitter.radiance.value", resolution=(8, 8), spp=4, max_depth=2)
+    for inputs, texts in ((None, []), ({name: 0 * value for name, value in room.inputs.items()}, [caution])):
+        result = VanillaSceneGradient(room, ContrastRatio(50)).attribute(inputs)
+        expected = [f"caution: {text.replace('5th', '50th')}" for text in texts]
+        assert [note for note in noise_notes(result) if "floor" in note] == expected
 
 
 def test_a_rating_shows_its_settings():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import html
+import itertools
 import json
 import re
 from pathlib import Path
@@ -199,6 +200,48 @@ def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
         page.page.keyboard.press("Escape")
     assert page.page.locator("#rows .tag").count() > 0, "the picture does not show all"
     page.check(path)
+    page.context.close()
+
+
+def test_without_any_effect_the_list_is_one_line_and_the_picture_is_plain(browser, tmp_path):
+    zeros = ranged(factor=0.0, covariance={n: torch.zeros_like(c) for n, c in ranged().covariance.items()})
+    path = written(tmp_path, zeros, ranged(), titles=["Night", "Day"])
+    page = Page(browser, path)
+    for is_lit in (False, True):
+        page.page.get_by_text("Day" if is_lit else "Night", exact=True).click()
+        rows = page.page.locator("#rows tr").all_inner_texts()
+        assert len(rows) == len(VALUES) if is_lit else rows == ["No parameter has an effect."]
+        opacity = page.page.locator("#overlay").evaluate("one => getComputedStyle(one).opacity")
+        assert (float(opacity) > 0) == is_lit
+        grey = page.page.locator("#render").evaluate("one => one.style.filter")
+        assert (grey == "grayscale(0)") != is_lit
+        for selector in ("#scale", "#opacity", "#png", "#svg", "#filter"):
+            assert page.page.locator(selector).is_visible() == is_lit
+    page.check(path)
+    page.context.close()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_names_of_classes_break_between_their_words(browser, tmp_path, width: int):
+    name = "PerCamera[0] (SpatialDaylightAutonomy)"
+    path = written(tmp_path, noted(ranged(), metric=name, method="IntegratedGradientsScene"))
+    page = Page(browser, path, viewport={"width": width, "height": 900})
+    lines = page.page.locator("#facts .metric dd").evaluate(
+        """one => {
+          const lines = {};
+          const texts = document.createTreeWalker(one, NodeFilter.SHOW_TEXT);
+          while (texts.nextNode()) for (let at = 0; at < texts.currentNode.length; at += 1) {
+            const range = document.createRange();
+            range.setStart(texts.currentNode, at);
+            range.setEnd(texts.currentNode, at + 1);
+            const top = Math.round(range.getBoundingClientRect().top);
+            lines[top] = (lines[top] ?? "") + range.toString();
+          }
+          return Object.values(lines);
+        }"""
+    )
+    assert "".join(lines) == name
+    assert all(line[-1] in " )" or re.match("[A-Z(]", after) for line, after in itertools.pairwise(lines))
     page.context.close()
 
 

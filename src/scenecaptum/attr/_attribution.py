@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import math
 import os
 import platform
 from collections.abc import Iterable
@@ -347,11 +348,27 @@ def make_attribution(
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},
             "up": Capabilities(renderer).up,
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],
+            "proportional_errors": _proportional_errors(gradients, values, bias)
+            if info.get("quantity") == ResultKind.GRADIENT
+            else {},
             "effective_samples": _effective_samples(renderer, gradients, adjoints, values, info.get("spp")),
             **info_of(renderer, values),
             "versions": versions(),
         },
     )
+
+
+def _proportional_errors(gradients: GradientSum, values: Tensors, bias: Tensors | None) -> dict[str, float]:
+    """Return the standard errors of the effects of textures per relative change of all their texels."""
+    noise = {name: gradients.product_error(name) for name in values}
+    return {
+        name: math.hypot(
+            error / gradients.weight,
+            0.0 if bias is None else (bias[name] * values[name]).sum(dtype=torch.float64).item(),
+        )
+        for name, error in noise.items()
+        if error is not None
+    }
 
 
 def _effective_samples(

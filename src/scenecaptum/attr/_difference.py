@@ -25,7 +25,8 @@ def multiply(a: A, factor: float) -> A:
     def times(tensors: Tensors, by: float) -> dict[str, torch.Tensor]:
         return {name: by * value for name, value in tensors.items()}
 
-    info = {key: value for key, value in a.info.items() if key not in ("verdict", "metric_bias")}
+    not_scaled = ("verdict", "metric_bias", "proportional_errors")
+    info = {key: value for key, value in a.info.items() if key not in not_scaled}
     if a.info.get("explained") is not None:
         info["explained"] = factor * a.info["explained"]
     return dataclasses.replace(
@@ -86,7 +87,7 @@ def subtract(a: A, b: A) -> A:
 
 
 def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
-    not_shared = ("explained", "convergence", "quadrature_error", "metric_bias")
+    not_shared = ("explained", "convergence", "quadrature_error", "metric_bias", "proportional_errors")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
     if a.info.get("compared_with") != b.info.get("compared_with"):

@@ -321,6 +321,7 @@ class Run:
                     noise=evaluation.noise,
                     standard_error=evaluation.pixel_error,
                     metric=metric,
+                    image=evaluation.image,
                     shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
                 ),
                 "interrupted": interrupted,

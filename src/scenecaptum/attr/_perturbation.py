@@ -205,6 +205,7 @@ class Perturbation:
                 drift,
                 spp_per_arm,
                 metric=measured.metrics[index],
+                image=measured.image,
                 noise=measured.noise,
                 compares=True,
                 shows_a_view=Capabilities(self.renderer).shows_a_view is not False,

@@ -87,7 +87,7 @@ def median_of_means(attribution: A) -> A:
         standard_error=errors,
         replicates=rows,
         covariance=covariance,
-        info={**attribution.info, "combination": "median of means"},
+        info={**attribution.info, "combination": "median of means", "proportional_errors": {}},
     )
 
 

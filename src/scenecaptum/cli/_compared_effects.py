@@ -66,7 +66,7 @@ class ComparedEffect(NamedTuple):
         if self.is_equal:
             return rounded(self.before), rounded(self.after), "0"
         style = Format.of(max(self.size, abs(self.change)), self.error)
-        change = [style.write_signed(self.change), *([style.write(self.error)] if self.error else [])]
+        change = [style.write_signed(self.change), *([style.write_error(self.error)] if self.error else [])]
         return style.write(self.before), style.write(self.after), " ± ".join(change)
 
 

@@ -101,6 +101,7 @@ class GradientSum:
         self._deviations: dict[str, list[torch.Tensor]] = {name: [] for name in values}
         self._settled_weight = dict.fromkeys(values, 0.0)  # of the points that leave out a parameter
         self._variances: dict[str, list[float]] = {name: [] for name in values}  # of each point
+        self._product_variance: dict[str, float] = {}  # of the sums of gradient × value of textures
         # Variance of all points, and of those with several replicates, in units of the variance of one sample.
         self._total_variance = self._measured_variance = 0.0
         self._between_points = {name: ReplicateStatistics() for name in values} if random_points else None
@@ -130,6 +131,10 @@ class GradientSum:
                 deviations = scale * (totals - totals.mean(0))
                 self._deviations[name].extend(deviations)
                 self._variances[name].append(deviations.square().sum().item())
+                if statistics.products:
+                    products = scale * torch.tensor(statistics.products, dtype=torch.float64)
+                    variance_here = (products - products.mean()).square().sum().item()
+                    self._product_variance[name] = self._product_variance.get(name, 0.0) + variance_here
         for name in self._deviations.keys() - point.statistics.keys():
             self._leave_out(name, point.weight, replicates)
         if self.bias is None or point.bias is None:
@@ -191,6 +196,16 @@ class GradientSum:
             scale = self._growth(name) * math.sqrt(self._total_variance / self._measured_variance)
             return scaled(self._error[name], scale)
         return scaled(self._between_points[name].error, self.weight)
+
+    def product_error(self, name: str) -> float | None:
+        """Return the standard error of the sum of gradient × value of a texture, if all points have its values.
+
+        The texels of a replicate share its paths, so it does not follow from the errors of the texels.
+        """
+        if self._between_points is not None or name not in self._product_variance:
+            return None
+        scale = self._growth(name) * math.sqrt(self._total_variance / self._measured_variance)
+        return scale * math.sqrt(self._product_variance[name])
 
     def rows(self, name: str) -> torch.Tensor:
         """Return ``(replicates, C)`` channel totals that have the mean and the covariance of the mean of the sum.
@@ -550,6 +565,9 @@ def _add_replicate(
     for result, by_name, own_totals in zip(results, gradients, totals, strict=True):
         for name, gradient in by_name.items():
             result.statistics[name].add(gradient, own_totals[name])
+            if gradient.ndim > 1:
+                product = (gradient * leaves[name].detach()).sum(dtype=torch.float64)
+                result.statistics[name].products.append(product.item())
 
 
 def _same(image: torch.Tensor) -> torch.Tensor:

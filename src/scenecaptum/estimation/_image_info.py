@@ -56,6 +56,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     noise: float | None = None,
     standard_error: float | None = None,
     metric: TargetedMetric | None = None,
+    image: torch.Tensor | None = None,
     compares: bool = False,
     shows_a_view: bool = True,
 ) -> dict[str, Any]:
@@ -63,11 +64,13 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
     of the value, ``noise`` the relative noise of the pixels, ``standard_error`` as of ``pixel_error``, and
-    ``metric`` may have classes of its values and cautions of its own. ``compares`` says that the effects are
-    differences of values, which have its bias, and ``shows_a_view`` that the image is a picture.
+    ``metric`` may have classes of its values and cautions of its own, also of the ``image``. ``compares`` says
+    that the effects are differences of values, which have its bias, and ``shows_a_view`` that it is a picture.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
+    if metric is not None and image is not None:
+        own = metric.caution_of(image)
     noisy = _differs(value, drift, spp, denoised) or _too_wide(interval, measure)
     if not noisy and metric is not None:
         noisy = _above_tolerance(noise, transform, metric.tolerated_noise)

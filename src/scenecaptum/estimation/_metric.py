@@ -126,6 +126,14 @@ class TargetedMetric:
         """Why the metric is not valid for these images, if it says so."""
         return getattr(self.metric, "caution", None)
 
+    def caution_of(self, image: torch.Tensor) -> str | None:
+        """Return why the metric is not valid for these images, or its value for this one, if it says so."""
+        of_image = getattr(self.metric, "caution_of", None)
+        if self.caution or of_image is None:
+            return self.caution
+        with torch.no_grad():
+            return str(of_image(self.transform(image.detach()), self.target)) or None
+
     @property
     def tolerated_noise(self) -> float | None:
         """Relative noise of the pixels above which it biases the value, if the metric says so."""

@@ -199,6 +199,8 @@ class ReplicateStatistics:
 
     def __init__(self) -> None:
         self.totals: list[torch.Tensor] = []
+        # Of a texture: the sum of gradient × value of each replicate, if known.
+        self.products: list[float] = []
 
     def add(self, gradient: torch.Tensor, totals: torch.Tensor | None = None) -> None:
         """Add the gradient of a replicate; its channel totals, if they are known, are not summed again.

@@ -56,7 +56,7 @@ def propose(
             after = _moved(value, direction, over, (low, high))
         if after is None:
             continue
-        predicted, error = _predict(attribution, row.name, after - value)
+        predicted, error = _predict(attribution, row.name, value, after)
         if abs(predicted) > SIGNIFICANT * error:
             changes.append(Change(row.name, row.label, value, after, predicted, error))
     return first_of_each_light(sorted(changes, key=lambda change: -abs(change.predicted)))[:count]
@@ -101,10 +101,15 @@ def _upright(name: str, step: torch.Tensor, up: int | None) -> torch.Tensor:
     return kept * longer
 
 
-def _predict(attribution: SceneAttribution, name: str, step: torch.Tensor) -> tuple[float, float]:
+def _predict(
+    attribution: SceneAttribution, name: str, value: torch.Tensor, after: torch.Tensor
+) -> tuple[float, float]:
     """Return the first-order effect of a step and its standard error."""
-    gradient = attribution[name].double()
-    predicted = (gradient * step).sum().item()
+    step = after - value
+    predicted = (attribution[name].double() * step).sum().item()
+    in_proportion = attribution.info["proportional_errors"]
+    if name in in_proportion and any(torch.equal(after, value * (1 + s * DIMMING)) for s in (-1, 1)):
+        return predicted, DIMMING * in_proportion[name]
     # Near a bound the texels of a texture move by different amounts; the error is that of their mean.
     mean = channel_totals(step).double() / max(1, step.numel() // max(1, len(channel_totals(step))))
     assert attribution.covariance is not None

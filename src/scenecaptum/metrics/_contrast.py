@@ -11,7 +11,10 @@ from ._percentile import banded_percentile, check_percentage
 
 
 class ContrastRatio(torch.nn.Module):
-    """Ratio of a high to a low percentile of an image's luminance; independent of the exposure.
+    """Ratio of a high to a low percentile of an image's luminance.
+
+    It is independent of the exposure, unless the low percentile is black: then it is a ratio to ``floor``, which
+    means nothing, and results have a caution.
 
     Example
     -------
@@ -50,10 +53,22 @@ class ContrastRatio(torch.nn.Module):
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the ratio of an ``(H, W, 3)`` image, a 0-d dimensionless tensor."""
-        values = photometric_luminance(image, 1.0).flatten()
-        bright = banded_percentile(values, self.high, self.width)
-        dark = banded_percentile(values, self.low, self.width)
+        bright, dark = (self._percentile(image, percentage) for percentage in (self.high, self.low))
         return cast_like(bright.clamp(min=self.floor) / dark.clamp(min=self.floor), image)
+
+    def caution_of(self, image: torch.Tensor, target: object = None) -> str:
+        """Return why the ratio of a picture ``image`` means nothing; empty if it means something."""
+        dark = self._percentile(image, self.low).item()
+        if dark >= self.floor:
+            return ""
+        is_dark = "black" if dark == 0 else f"below {self.floor:g}"
+        return (
+            f"the {self.low:g}th percentile is {is_dark}: the ratio is to the floor of {self.floor:g} and means "
+            "nothing"
+        )
+
+    def _percentile(self, image: torch.Tensor, percentage: float) -> torch.Tensor:
+        return banded_percentile(photometric_luminance(image, 1.0).flatten(), percentage, self.width)
 
     def extra_repr(self) -> str:
         """Show the percentiles and the width."""

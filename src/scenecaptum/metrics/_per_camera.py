@@ -92,6 +92,12 @@ class PerCamera(torch.nn.Module):
         cautions = (getattr(metric, "caution", None) for metric in self.metrics)
         return next(filter(None, cautions), None)
 
+    def caution_of(self, images: torch.Tensor, target: Target = None) -> str:
+        """Return why the value of one camera of a stack ``images`` means nothing, if its metric says so."""
+        camera, element = _split(target)
+        of_image = None if camera is None else getattr(self._metric_of(camera), "caution_of", None)
+        return "" if of_image is None else str(of_image(images[camera], element))
+
     def measure_of(self, target: Target) -> Measure | None:
         """Return what an element of the output measures, with its camera, if the metric says it."""
         camera, element = _split(target)

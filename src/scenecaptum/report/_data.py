@@ -365,7 +365,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
 
 def _format_signed(value: float, error: float | None) -> tuple[str, str]:
     style = Format.of(value, error)
-    return style.write_signed(value), "" if error is None else style.write(error)
+    return style.write_signed(value), "" if error is None else style.write_error(error)
 
 
 def _value(attribution: Attribution, name: str, members: Sequence[str] | None) -> dict[str, Any]:

@@ -93,7 +93,7 @@ function othersOf(results, current, name) {
 function hintOf(result, isPlan) {
   if (isPlan) return [make("p", { class: "muted hint" }, "Click a row of the table to see all about its parameter.")];
   const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && !row.isCamera && objectsOf(result, index).length === 0);
-  const hint = "Point at the picture to read an object; click it, or a row of the table, to keep it lit.";
+  const hint = `Point at the picture to read an object; click it${hasEffects(result) ? ", or a row of the table," : ""} to keep it lit.`;
   const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);
   return [make("p", { class: "muted hint" }, hint), hidden].filter(Boolean);
 }
@@ -123,6 +123,6 @@ function drawFacts(result) {
     return String(value);
   };
   const known = FACTS.filter((key) => info[key] !== undefined && info[key] !== null);
-  byId("facts").replaceChildren(...known.map((key) => make("div", { class: key }, make("dt", {}, words[key] ?? key.replaceAll("_", " ")), make("dd", {}, text(key, info[key])))));
+  byId("facts").replaceChildren(...known.map((key) => make("div", { class: key }, make("dt", {}, words[key] ?? key.replaceAll("_", " ")), make("dd", {}, ...breakable(text(key, info[key]))))));
   byId("settings").textContent = JSON.stringify(result.info, null, 2);
 }

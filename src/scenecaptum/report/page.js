@@ -40,7 +40,7 @@ function drawOverlay() {
 }
 
 function drawOpacity() {
-  const opacity = byId("opacity").value / 100;
+  const opacity = hasEffects(result()) ? byId("opacity").value / 100 : 0;
   for (const map of ["overlay", "other-overlay"]) byId(map).style.opacity = opacity;
   // Below a map in colour, colours of the render would be read as part of it.
   for (const picture of ["render", "other"]) byId(picture).style.filter = `grayscale(${opacity})`;
@@ -97,7 +97,7 @@ function drawTable() {
   const shown = state.all || state.filter ? arranged : firstRows(arranged, state.selection.rows);
   drawRows(result(), shown, { select: selectRow, preview: previewRow });
   markSelected(state.selection.rows);
-  byId("more").hidden = shown.length === arranged.length;
+  byId("more").hidden = shown.length === arranged.length || !hasEffects(result());
   byId("more").textContent = `Show all ${arranged.length}`;
 }
 
@@ -121,8 +121,10 @@ function drawResult() {
   byId("texels-choice").hidden = !texelsOf(result());
   byId("shared-choice").hidden = results.filter(isAlike).length < 2;
   document.querySelector('[value="signed"]').disabled = !result().signs;
+  byId("main").classList.toggle("effectless", !hasEffects(result()));
   drawPlan();
   drawExplanation(result());
+  drawOpacity();
   drawSplit();
   drawOverlay();
   drawTable();
@@ -154,7 +156,7 @@ const HALVES = ["other", "other-overlay", "split-before", "split-after"]; // of 
 function printedCopy() {
   const { title, written, unit } = result();
   const head = make("h2", {}, `${title}: ${[withError(written), unit].filter(Boolean).join(" ")}`);
-  const hasMap = view().names.length > 0 && byId("opacity").value > 0;
+  const hasMap = view().names.length > 0 && hasEffects(result()) && byId("opacity").value > 0;
   const shown = [byId("explanation"), document.querySelector(".frame"), ...(hasMap ? [document.querySelector(".legend")] : []), document.querySelector(".list")];
   const copies = shown.filter((one) => !one.hidden).map(copyOf);
   for (const copy of copies) {
@@ -565,7 +567,6 @@ async function start() {
   // Two plain pictures are compared first; the maps come with their slider.
   if (otherResult()) byId("opacity").value = 0;
   listen();
-  drawOpacity();
   drawResult();
   document.documentElement.dataset.ready = "";
 }

@@ -54,11 +54,17 @@ function drawColumns(result, sort, choose) {
   }));
 }
 
+/** Whether a result has anything to rank and to paint: a rating of 0 without a glare source has not. */
+const hasEffects = (result) => result.rows.some((row) => row.saliency !== 0 || row.error);
+
 function drawRows(result, shown, handlers) {
-  const rows = shown.map((index) => drawRow(result, index, handlers));
+  const rows = hasEffects(result) ? shown.map((index) => drawRow(result, index, handlers)) : [];
   byId("rows").replaceChildren(...rows);
   if (rows.length) rows[0].tabIndex = 0;
-  else byId("rows").append(make("tr", { class: "none" }, make("td", { colspan: 4 }, "No parameter matches the filter.")));
+  else {
+    const none = hasEffects(result) ? "No parameter matches the filter." : "No parameter has an effect.";
+    byId("rows").append(make("tr", { class: "none" }, make("td", { colspan: 4 }, none)));
+  }
   byId("count").textContent = shown.length === result.rows.length ? `${shown.length}` : `${shown.length} of ${result.rows.length}`;
 }
 
@@ -149,6 +155,10 @@ function drawNotes(result) {
   notes.push(...cautioned(result.sceneCautions));
   notes.push(...result.rangeNotes.map((text) => make("p", {}, make("span", { class: "mark" }, "~"), ` ${text}`)));
   notes.push(...result.convergence.map((text) => make("p", {}, text)));
+  if (!hasEffects(result)) { // There are no marks and bars to read.
+    byId("notes").replaceChildren(...notes);
+    return;
+  }
   if (result.rows.some((row) => row.texture)) notes.push(make("p", {}, make("span", { class: "mark" }, "Σ"), " totals over the texels, vertices or faces, and their mean value"));
   if (result.signs) {
     notes.push(make("p", {}, ...["1", "-1", "0"].flatMap((sign, index) => [

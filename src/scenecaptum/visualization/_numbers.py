@@ -15,7 +15,9 @@ from typing import NamedTuple
 _MAX_DECIMALS = 6
 _MIN_SCIENTIFIC, _MAX_SCIENTIFIC = 1e6, 1e-5
 _MIN_OBJECT_WIDTH = 9  # of the object's name in a shortened label
-_MAX_DIGITS = 8  # of single precision
+_MAX_DIGITS = 7  # one fewer than single precision has
+_CUT_FROM = 1e-3  # numbers from this size on have four digits or more within the decimals
+_TWO_DIGITS = 3.55  # an error has two digits if its leading ones are below, by the Particle Data Group
 
 
 class Format(NamedTuple):
@@ -29,7 +31,8 @@ class Format(NamedTuple):
         """Return the format of a value with an error; four significant digits without one.
 
         The error has ``digits`` significant digits, by default by the rounding of the Particle Data Group: two if
-        the leading ones are below 355, else one, so that rounding changes the error by at most a sixth.
+        the leading ones are below 355, else one, so that rounding changes the error by at most a sixth. Where it
+        is so small that the value would have all its digits, both are cut, and the error is rounded up.
         """
         error = error if error is not None and math.isfinite(error) else 0.0
         size = max(abs(value) if math.isfinite(value) else 0.0, error)
@@ -37,6 +40,8 @@ class Format(NamedTuple):
             return cls(0, 0)
         place = _last_place(error, digits) if error else 3 - _exponent(size)
         place = min(place, _MAX_DIGITS - 1 - _exponent(size))
+        if place + _exponent(size) + 1 == _MAX_DIGITS and _CUT_FROM <= size < _MIN_SCIENTIFIC:
+            place = min(place, _MAX_DECIMALS)
         plain = place <= _MAX_DECIMALS and _MAX_SCIENTIFIC <= size < _MIN_SCIENTIFIC
         return cls(place, 0 if plain else _exponent(size))
 
@@ -56,6 +61,13 @@ class Format(NamedTuple):
             return "0"  # far below what it is written beside: no digits, and no power of ten of zero
         text = f"{scaled:.{max(decimals, 0)}f}"
         return minus(f"{text}e{self.exponent}" if self.exponent else text)
+
+    def write_error(self, error: float) -> str:
+        """Format an error; one whose digits are cut is rounded up, so that it is never written as 0."""
+        units = error * 10.0**self.place
+        if 0 < units < _TWO_DIGITS:
+            error = max(1, math.ceil(round(units, 6))) / 10.0**self.place
+        return self.write(error)
 
     def write_signed(self, number: float) -> str:
         """Format a number with its sign, except if it rounds to zero."""
@@ -118,7 +130,7 @@ def with_error(value: float, error: float | None, *, digits: int | None = None) 
     The error is an empty string for None. ``digits`` as for ``Format.of``.
     """
     style = Format.of(value, error, digits=digits)
-    return style.write(value), "" if error is None else style.write(error)
+    return style.write(value), "" if error is None else style.write_error(error)
 
 
 def format_with_error(value: float, error: float | None, *, digits: int | None = None) -> str:
@@ -129,7 +141,7 @@ def format_with_error(value: float, error: float | None, *, digits: int | None =
 def signed_with_error(value: float, error: float | None) -> str:
     """Return ``'+0.0978 ± 0.0008'``."""
     style = Format.of(value, error)
-    return " ± ".join([style.write_signed(value), *([style.write(error)] if error else [])])
+    return " ± ".join([style.write_signed(value), *([style.write_error(error)] if error else [])])
 
 
 def align_with_errors(numbers: Sequence[tuple[float, float | None]], *, signed: bool = False) -> list[str]:
@@ -305,5 +317,5 @@ def _exponent(number: float) -> int:
 def _last_place(error: float, digits: int | None) -> int:
     exponent = _exponent(error)
     if digits is None:
-        digits = 2 if error < 3.55 * 10.0**exponent else 1
+        digits = 2 if error < _TWO_DIGITS * 10.0**exponent else 1
     return digits - 1 - exponent
