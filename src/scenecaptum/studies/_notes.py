@@ -27,11 +27,12 @@ from ._cell_effects import CellResults
 from ._recipe import Cell
 
 RELAXED = (
-    "this rating is relaxed near the threshold, and has no class here: explain and compare state the value by "
-    "the definition"
+    "this rating is relaxed near the threshold, and has no class here; the value by the definition, with its "
+    "error, is that of an explanation"
 )
 RELAXED_DAYLIGHT = (
-    "this value is relaxed, and has no class here: the command daylight states the value by the definition"
+    "this value is relaxed, and has no class here; the value by the definition, with its error, is that of an "
+    "explanation"
 )
 IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
