@@ -138,7 +138,7 @@ def _finding(row: GroupEffect) -> str:
     mean = (
         f"{signed_with_error(row.mean, row.error or row.rooms[0].error)} {unit_of_change(row.unit)}".strip()
     )
-    name = shorten([row.group], _NAME_WIDTH)[0]
+    name = shorten([row.label], _NAME_WIDTH)[0]
     if count == 1:
         return f"{name}: {mean} in the only room"
     signs = {"positive": row.raises, "negative": row.lowers}
