@@ -349,6 +349,14 @@ def test_a_difference_names_both_of_its_metrics_and_keeps_their_common_unit():
     assert metric_line(difference).endswith(" cd/m²")
 
 
+def test_a_difference_of_two_renderers_names_the_class_of_ones_own() -> None:
+    ours, theirs = made(), made(scene="the scene dict", integrator="prb")
+    assert metric_name(ours - theirs) == "mean luminance (ToyRenderer − the scene dict)"
+    info = {key: value for key, value in ours.info.items() if key != "renderer"}
+    older = dataclasses.replace(ours, info=info)
+    assert metric_name(older - theirs) == "mean luminance (first − second)"
+
+
 @pytest.mark.parametrize(
     ("a", "b", "name"),
     [

@@ -18,7 +18,8 @@ from scenecaptum.attr import METHODS, NamedMethod
 from scenecaptum.cli import _formats
 from scenecaptum.cli._files import OutputFormat
 from scenecaptum.metrics import NamedMetric
-from scenecaptum.rendering import INTEGRATORS, SENSORS, IntegratorKind, SensorType
+from scenecaptum.rendering import INTEGRATORS, SENSORS, IntegratorKind, SensorType, integrators
+from scenecaptum.scene.bundled import BUNDLED
 
 REPOSITORY = Path(__file__).parents[2]
 TINY = ["cornell-box", "--resolution", "16x16", "--spp", "8", "--max-depth", "2", "--inputs", "emitters"]
@@ -82,6 +83,19 @@ def test_an_integrator(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
         direct = renderer.replace(max_depth=2)
         assert torch.equal(renderer.replace(integrator=name)(seed=1), direct(seed=1))
         assert not torch.equal(renderer(seed=1), direct(seed=1))
+
+
+def test_a_scene_may_name_a_listed_integrator_that_nothing_has_imported(
+    tmp_path: Path, mi: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    late = "from scenecaptum.rendering.integrators.path import ReplayIntegrator, mi\n"
+    late += "mi.register_integrator('scenecaptum_late', ReplayIntegrator)\n"
+    (tmp_path / "late.py").write_text(late)
+    monkeypatch.setattr(integrators, "__path__", [*integrators.__path__, str(tmp_path)])
+    kind = IntegratorKind("scenecaptum_late", "late", media=False, reason="for a test")
+    monkeypatch.setitem(INTEGRATORS, kind.plugin, kind)
+    scene = {**BUNDLED["cornell-box"](), "integrator": {"type": kind.plugin, "max_depth": 3}}
+    assert SceneRenderer(scene, resolution=(8, 8), spp=1).plan.max_depth == 3
 
 
 def test_an_integrator_that_is_not_listed_is_refused_with_a_hint() -> None:

@@ -18,4 +18,4 @@ def test_a_rating_near_its_threshold_is_stated_by_the_definition(tmp_path, capsy
     assert change["value"] < change["definition"]["value"] < 0
     assert cli.main(["attribute", *small.split(), *dimmed.split(), "--out", str(tmp_path / "b")]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "explain and compare state the value by the definition" in printed
+    assert "the value by the definition, with its error, is that of an explanation" in printed

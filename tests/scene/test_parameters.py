@@ -304,6 +304,17 @@ def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, word
     assert [word for word in words if word not in said] == [], said
 
 
+def test_a_shape_is_told_the_object_that_it_is_a_part_of() -> None:
+    parameters = discover_in("office")
+    said = message(lambda: select(parameters, "chair_seat.pose.translation"))
+    assert (
+        "'chair_seat' is part of the object 'chair': select 'chair.pose.translation', or list it in" in said
+    )
+    assert "Did you mean" not in said
+    assert "is part of" not in message(lambda: select(parameters, "chairs.pose.translation"))
+    assert "is part of" not in message(lambda: select(parameters, "chair_seat.reflectance"))
+
+
 @pytest.mark.parametrize("inputs", ["sensor.*", "sensor.film.*", "sensor.fov", "camera.x_fov"])
 def test_a_selection_of_the_sensor_is_told_how_the_camera_is_called(inputs: str) -> None:
     said = message(lambda: select(discover_in("cornell-box"), inputs))

@@ -67,6 +67,22 @@ def test_cautions_of_cells_are_columns_and_counted(doubtful: StudyResult, tmp_pa
         assert text.index("caution: the picture") < text.index("valid if so (office")
 
 
+def test_cells_that_are_undecided_are_counted(tmp_path: Path) -> None:
+    cells = made.cells(["office", "attic", "kitchen"])
+    said = {cell: {"convergence": "inconclusive", "convergence_note": ""} for cell in cells[:2]}
+    result = made.study(tmp_path / "two", made.random_effects(cells, 0), said=said)
+    count = "2 of 3 cells are inconclusive whether the effects add up"
+    assert count in str(result).splitlines()
+    assert f"! {count}" in result.summary().notes()
+    assert count in result.write_report(tmp_path / "report", pages=False).read_text(encoding="utf-8")
+    said[cells[2]] = {"convergence": "does not add up", "convergence_note": SUM}
+    said[cells[0]]["cautions"] = [NOISY.format(12)]
+    del said[cells[1]]
+    result = made.study(tmp_path / "each", made.random_effects(cells, 0), said=said)
+    each = "1 of 3 cells has a caution; 1 does not add up; 1 is inconclusive whether the effects add up"
+    assert each in str(result).splitlines()
+
+
 def test_cautions_of_cells_are_marked_in_the_table_of_the_report(
     doubtful: StudyResult, tmp_path: Path
 ) -> None:

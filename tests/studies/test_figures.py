@@ -46,6 +46,7 @@ def test_rooms_are_in_order_in_the_colours_of_their_signs(tmp_path: Path) -> Non
     text = all_text(figure)
     assert "roughness: positive in 3 and negative in 1 of 5 rooms" in text.replace("\n", " ")
     assert "change of mean luminance (cd/m²)" in text
+    assert "bar: 95 % interval of the noise; diamond: of the mean; line: of a new room" in text
     assert outside(figure) == []
 
 
@@ -60,6 +61,7 @@ def test_a_long_label_is_whole_and_a_change_of_a_share_is_in_points(tmp_path: Pa
     assert label.endswith("(percentage points) over the range of the parameter")
     title = " ".join(figure.axes[0].get_title(loc="left").split())
     assert title.endswith("percentage points in the only room" if rooms == 1 else "percentage points")
+    assert "bar: 95 % interval of the noise" in all_text(figure), "longer than the ± of the title"
     assert "%" not in title
 
 

@@ -76,7 +76,7 @@ def test_pages_are_optional_and_links_need_them(study: StudyResult, tmp_path: Pa
     index = study.write_report(tmp_path / "summary.html", None, pages=False)
     assert index == tmp_path / "summary.html"
     assert 'href="cells/' not in index.read_text(encoding="utf-8")
-    assert "wall.reflectance" in index.read_text(encoding="utf-8")
+    assert "wall: reflectance" in index.read_text(encoding="utf-8")
 
 
 def test_a_study_of_values_has_a_table_only(tmp_path: Path) -> None:

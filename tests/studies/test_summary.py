@@ -18,7 +18,9 @@ from statsmodels.stats.meta_analysis import combine_effects
 from scenecaptum import SceneCaptumError
 from scenecaptum.estimation import student_t
 from scenecaptum.studies import StudyResult
+from scenecaptum.studies._cell_effects import CellEffect, Quantity
 from scenecaptum.studies._random_effects import Observation, _variance_between_cameras, _views, combine
+from scenecaptum.studies._summary import _labels
 
 from . import made
 
@@ -294,8 +296,8 @@ def test_effects_whose_errors_may_be_too_small_are_named(
 
     monkeypatch.setattr(StudyResult, "attribution", with_few_samples)
     (note,) = [line for line in result.summary(None).notes() if line.startswith("?")]
-    assert note.startswith("? the error of 1 effect may be too small (desk.alpha in office): ")
-    assert "(desk.alpha in office, camera 0" in " ".join(several.summary(None).notes())
+    assert note.startswith("? the error of 1 effect may be too small (desk: alpha in office): ")
+    assert "(desk: alpha in office, camera 0" in " ".join(several.summary(None).notes())
 
 
 def test_no_effect_at_all_is_zero(tmp_path: Path) -> None:
@@ -335,6 +337,25 @@ def test_without_statsmodels_the_extra_is_named(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setitem(sys.modules, "statsmodels.stats.meta_analysis", None)
     with pytest.raises(SceneCaptumError, match=r"need statsmodels: pip install 'scenecaptum\[studies\]'"):
         result.summary()
+
+
+def test_tables_have_the_labels_of_single_parameters(tmp_path: Path) -> None:
+    name, label = "lamp.emitter.radiance.value.alpha", "lamp: emitter.radiance.value.alpha"
+    cells = made.cells(["office", "attic"])
+    result = made.study(tmp_path, {cell: {name: 3.0, "wall.alpha": 1.0} for cell in cells})
+    summary = result.summary(None)
+    assert [(row.group, row.label) for row in summary.rows] == [(name, label), ("wall.alpha", "wall: alpha")]
+    assert summary.row(label) == summary.row(name)
+    assert "wall: alpha" in str(summary)
+    assert "wall.alpha" not in str(summary)
+    assert [row.label for row in result.summary({"lamps": "lamp*"}).rows] == ["lamps"], "the user's own"
+
+
+def test_a_label_of_several_groups_and_several_labels_of_one_are_not_used() -> None:
+    [cell] = made.cells(["office"])
+    pairs = [("a", "same"), ("b", "same"), ("c", "one"), ("c", "other"), ("d", "alone"), ("d", "alone")]
+    effects = [CellEffect(cell, *pair, 1.0, 0.1, 7, Quantity("change", None)) for pair in pairs]
+    assert _labels(effects) == {"a": "a", "b": "b", "c": "c", "d": "alone"}
 
 
 def test_a_note_on_many_parameters_names_the_first_few(tmp_path: Path) -> None:

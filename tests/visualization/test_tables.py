@@ -19,6 +19,7 @@ from scenecaptum.visualization import (
     shorten,
     table_html,
     table_text,
+    untrusted_groups,
     with_error,
 )
 from scenecaptum.visualization._notes import goal_notes
@@ -424,6 +425,18 @@ def test_notes_say_which_of_their_parameters_have_no_row(
     assert f"!  size is off ({counted})" in text
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
     assert "?  few (all parameters)" in table_text(make(), top=2)
+
+
+def test_notes_name_rows_in_the_order_of_the_ranking(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a report does, which has all rows."""
+    made = make()
+    order = [row.name for row in made.ranking()]
+    doubts = dict.fromkeys([*reversed(order[:-1])], "few")
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: doubts)
+    assert untrusted_groups(made) == {"few": order[:-1]}
+    labels = [made.labels.get(name, name) for name in order[:3]]
+    for top in (2, None):
+        assert f"?  few ({'; '.join(labels)} and {len(order) - 4} more" in table_text(made, top=top)
 
 
 @pytest.mark.parametrize("columns", [30, 50, 80, 120])

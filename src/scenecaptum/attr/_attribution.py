@@ -400,7 +400,10 @@ def surfaces_of(renderer: Renderer, names: Iterable[str], values: Tensors) -> Su
 def info_of(renderer: Renderer, values: Tensors) -> dict[str, Any]:
     """Return how the renderer renders, with the camera where the ``values`` move it."""
     of = Capabilities(renderer).info_of
-    return dict(of(values) if of else Capabilities(renderer).info or {})
+    info = dict(of(values) if of else Capabilities(renderer).info or {})
+    # A renderer of one's own may have no scene by which its results could be told apart.
+    name = getattr(renderer, "__name__", type(renderer).__name__)
+    return info if "scene" in info else {"renderer": name, **info}
 
 
 def seen_through(

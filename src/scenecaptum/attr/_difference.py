@@ -189,19 +189,26 @@ def _sides(a: AttributionData, b: AttributionData) -> tuple[str, tuple[str, str]
         for name, value in a.parameter_values.items()
         if name in b.parameter_values and not torch.equal(value, b.parameter_values[name])
     ]
-    if a.info.get("scene") == b.info.get("scene") and len(changed) > 1:
+    is_one_scene = _setting(a, "scene") == _setting(b, "scene")
+    if is_one_scene and len(changed) > 1:
         return "", ("first design", "second design")
-    if a.info.get("scene") == b.info.get("scene") and changed:
+    if is_one_scene and changed:
         label, values = a.labels.get(changed[0], changed[0]), [s.parameter_values[changed[0]] for s in (a, b)]
         written = [rounded(float(value.mean())) for value in values]
         if written[0] != written[1] and all(value.unique().numel() == 1 for value in values):
             return f"{label} ", (written[0], written[1])
         return f"{label}, ", ("first", "second")
     for key, subject in _SETTINGS.items():
-        settings = str(a.info.get(key)), str(b.info.get(key))
-        if settings[0] != settings[1]:
+        settings = _setting(a, key), _setting(b, key)
+        if settings[0] != settings[1] and all(settings):
             return subject, settings
     return _ALIKE
+
+
+def _setting(side: AttributionData, key: str) -> str:
+    """Return a setting of a result; for the scene of a renderer that has none, its class; empty if unknown."""
+    value = side.info.get(key, side.info.get("renderer") if key == "scene" else None)
+    return "" if value is None else str(value)
 
 
 _ALIKE = "", ("first", "second")

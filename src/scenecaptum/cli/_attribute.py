@@ -37,7 +37,8 @@ REPORT = "report.html"
 DENOISE: dict[str, Denoise] = {"auto": "auto", "on": True, "off": False}
 WIDTH = 100  # of sentences, without a terminal
 BY_EXPLANATION = (
-    "this rating is relaxed near the threshold: explain and compare state the value by the definition"
+    "this rating is relaxed near the threshold; the value by the definition, with its error, is that of an "
+    "explanation"
 )
 
 

@@ -41,8 +41,8 @@ SETTINGS = {"resolution": "resolution", "sensor": "camera", "max_depth": "max de
 ROWS = 10
 WIDTH = 100  # of sentences, without a terminal
 SAVED = (
-    "Both values are relaxed near the threshold, which only serves the derivatives: a saved result has no value "
-    "by the definition. Explain the scenes to get it."
+    "Both values are relaxed near the threshold, which only serves the derivatives. Values by the definition are "
+    "not compared: compare the scenes to get their change."
 )
 RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
 OPPOSITE = "caution: the direction of this change depends on the threshold"

@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from ..errors import SceneCaptumError, near_misses
+from ..rendering import register_integrators
 from ..scene import KINDS, Parameter, SceneParameters, discover_in, is_of_kind, near_names
 from ..visualization import pluralize
 from . import _arguments
@@ -35,6 +36,7 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    register_integrators()
     found = discover_in(options.scene, named_once(options.parameters, "-D"))
     _check_filters(found, options)
     chosen = [

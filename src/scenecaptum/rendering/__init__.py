@@ -9,6 +9,7 @@ __all__ = ["RenderPlan", "SceneRenderer"]
 from ._integrators import INTEGRATORS as INTEGRATORS
 from ._integrators import STOCK_INTEGRATORS as STOCK_INTEGRATORS
 from ._integrators import IntegratorKind as IntegratorKind
+from ._integrators import register_integrators as register_integrators
 from ._plan import RenderPlan as RenderPlan
 from ._renderer import SceneRenderer as SceneRenderer
 from ._sensors import SENSORS as SENSORS

@@ -31,9 +31,13 @@ class IntegratorKind:
     def create(self, **settings: Any) -> Any:
         """Return the Mitsuba integrator."""
         mi = activate()
+        self.register()
+        return mi.load_dict({"type": self.plugin, **settings})
+
+    def register(self) -> None:
+        """Make its name known to Mitsuba."""
         if self.module is not None:
             import_module(f"{__package__}.integrators.{self.module}")
-        return mi.load_dict({"type": self.plugin, **settings})
 
 
 _STOCK_REASON = "as requested: Mitsuba's own, for comparison"
@@ -63,6 +67,13 @@ INTEGRATORS = {
 }
 
 STOCK_INTEGRATORS = tuple(plugin for plugin, kind in INTEGRATORS.items() if kind.is_stock)
+
+
+def register_integrators() -> None:
+    """Make the names of all integrators known to Mitsuba, for scenes that name one."""
+    activate()
+    for kind in INTEGRATORS.values():
+        kind.register()
 
 
 def check_integrator(plugin: str) -> None:

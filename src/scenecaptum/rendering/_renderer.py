@@ -51,6 +51,7 @@ from ..scene import (
 )
 from ..visualization import pluralize
 from ._autograd import RenderCall, render
+from ._integrators import register_integrators
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
 from ._sensors import (
@@ -213,6 +214,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     ) -> tuple[int, int]:
         """Load the scene with its sensors; return the resolution."""
         self.name = scene_name(scene)
+        register_integrators()
         loaded = load_scene(scene, parameters)
         self._placeholders = format_parameters(parameters)
         self._source = digest((hashable_source(scene), self._placeholders))

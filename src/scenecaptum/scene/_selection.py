@@ -96,7 +96,7 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"{first.name}, for example: {first.problem}.{hint}"
         )
     owner = item.partition(".")[0]
-    hint = "" if item in KINDS else near_names(item, known, KINDS)
+    hint = "" if item in KINDS else _part_hint(parameters, item) or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
     if re.match(r"object_\d", item):
@@ -114,6 +114,19 @@ def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> st
     if "*" in rest:
         return near_misses(item, [f"{name.partition('.')[0]}.{rest}" for name in known])
     return near_misses(item, [*kinds, *known])
+
+
+def _part_hint(parameters: SceneParameters, item: str) -> str:
+    """Say that the pose of a shape is that of the object that it is a part of, if it is one."""
+    shape, separator, component = item.rpartition(".pose.")
+    of = [p for p in parameters.values() if p.moves and shape in p.shapes and p.role == component]
+    if not separator or not of:
+        return ""
+    smallest = min(of, key=lambda p: len(p.shapes))
+    return (
+        f" {shape!r} is part of the object {smallest.owners[0]!r}: select {smallest.name!r}, or list it in "
+        "objects=, on the command line --object, to move it alone."
+    )
 
 
 def _camera_hint(known: Sequence[str]) -> str:

@@ -52,11 +52,12 @@ class Quantity(NamedTuple):
 class CellEffect(NamedTuple):
     """The effect of a group of parameters in a cell, with its standard error, None with a single replicate.
 
-    ``doubt`` is the reason why the error may be too small, or None.
+    ``label`` is what a reader calls the group; ``doubt`` is the reason why the error may be too small, or None.
     """
 
     cell: Cell
     group: str
+    label: str
     effect: float
     error: float | None
     degrees: int  # of freedom of the error
@@ -137,7 +138,8 @@ def _effects_of(
     doubts = _doubts(attribution, summed, members)
     for name, effect in summed.effects().items():
         error = None if errors is None else errors[name]
-        yield CellEffect(cell, name, effect, error, degrees, quantity, doubts.get(name))
+        label = attribution.labels.get(name, name) if members[name] == (name,) else name
+        yield CellEffect(cell, name, label, effect, error, degrees, quantity, doubts.get(name))
 
 
 def _doubts(

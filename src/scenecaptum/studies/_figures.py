@@ -122,6 +122,7 @@ def plot_effect_by_room(
     write_header(ax, "\n".join(title), handles=_legend(row, rooms), columns=2)
     hidden = len(row.rooms) - len(rooms)
     notes = [
+        _intervals(rooms, means),
         f"{pluralize(hidden, 'room')} with smaller effects not shown" if hidden else "",
         *row.unknowns,
     ]
@@ -137,12 +138,20 @@ def _finding(row: GroupEffect) -> str:
     mean = (
         f"{signed_with_error(row.mean, row.error or row.rooms[0].error)} {unit_of_change(row.unit)}".strip()
     )
-    name = shorten([row.group], _NAME_WIDTH)[0]
+    name = shorten([row.label], _NAME_WIDTH)[0]
     if count == 1:
         return f"{name}: {mean} in the only room"
     signs = {"positive": row.raises, "negative": row.lowers}
     parts = [f"{sign} in {rooms}" for sign, rooms in signs.items() if rooms]
     return f"{name}: {' and '.join(parts) or 'no clear sign in any'} of {count} rooms, mean {mean}"
+
+
+def _intervals(rooms: Sequence[RoomEffect], means: Sequence[str]) -> str:
+    """Return what the bars of the rooms and the marks below them are; empty if there are none."""
+    drawn = ["bar: {}of the noise"] if any(room.low is not None for room in rooms) else []
+    drawn += ["diamond: {}of the mean", "line: {}of a new room"][: len(means)]
+    # What they have in common is said of the first.
+    return "; ".join(text.format("" if place else "95 % interval ") for place, text in enumerate(drawn))
 
 
 def _draw_room(ax: Axes, room: RoomEffect, place: int) -> None:

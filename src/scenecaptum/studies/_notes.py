@@ -27,16 +27,19 @@ from ._cell_effects import CellResults
 from ._recipe import Cell
 
 RELAXED = (
-    "this rating is relaxed near the threshold, and has no class here: explain and compare state the value by "
-    "the definition"
+    "this rating is relaxed near the threshold, and has no class here; the value by the definition, with its "
+    "error, is that of an explanation"
 )
 RELAXED_DAYLIGHT = (
-    "this value is relaxed, and has no class here: the command daylight states the value by the definition"
+    "this value is relaxed, and has no class here; the value by the definition, with its error, is that of an "
+    "explanation"
 )
 IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
 CAUTION = "caution: "
 DOES_NOT_ADD_UP = "does not add up"
+INCONCLUSIVE = "inconclusive"
+UNDECIDED = f"{INCONCLUSIVE} whether the effects add up"
 
 
 def described(
@@ -103,16 +106,21 @@ def mark_of(numbers: Mapping[str, Any]) -> str:
 
 
 def count_of_cautions(result: CellResults, cells: Iterable[Cell]) -> str:
-    """Return ``"6 of 12 cells have a caution; 1 does not add up"``; empty if there is none."""
+    """Return how many cells are in doubt; empty if none is.
+
+    Such as ``"6 of 12 cells have a caution; 1 does not add up; 2 are inconclusive whether the effects add up"``.
+    """
     all_numbers = [result.numbers(cell) for cell in cells]
-    cautioned = sum(bool(numbers.get("cautions")) for numbers in all_numbers)
-    unequal = sum(numbers.get("convergence") == DOES_NOT_ADD_UP for numbers in all_numbers)
-    of_all = f"of {pluralize(len(all_numbers), 'cell')}"
-    parts = [f"{cautioned} {of_all} {'has' if cautioned == 1 else 'have'} a caution"] if cautioned else []
-    if unequal:
-        which = f"{unequal}" if cautioned else f"{unequal} {of_all}"
-        parts.append(f"{which} {DOES_NOT_ADD_UP if unequal == 1 else 'do not add up'}")
-    return "; ".join(parts)
+    verdicts = [numbers.get("convergence") for numbers in all_numbers]
+    counts = (
+        (sum(bool(numbers.get("cautions")) for numbers in all_numbers), "has a caution", "have a caution"),
+        (verdicts.count(DOES_NOT_ADD_UP), DOES_NOT_ADD_UP, "do not add up"),
+        (verdicts.count(INCONCLUSIVE), f"is {UNDECIDED}", f"are {UNDECIDED}"),
+    )
+    parts = [f"{count} {{}}{one if count == 1 else several}" for count, one, several in counts if count]
+    # The number of all cells is said once.
+    of_all = f"of {pluralize(len(all_numbers), 'cell')} "
+    return "; ".join(part.format("" if index else of_all) for index, part in enumerate(parts))
 
 
 def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -67,6 +68,8 @@ class GroupEffect(Combined):
         By how many rooms of equal weight the mean is decided: 1 / Σ w² for weights w that add up to 1 (Kish).
     metric, design, method, group
         Names in the study, and that of the group.
+    label
+        What tables call the group: of a single parameter its label, where that is the same in all rooms.
     measure, unit
         What the metric measures, and its unit.
     quantity
@@ -77,6 +80,7 @@ class GroupEffect(Combined):
     design: str
     method: str
     group: str
+    label: str
     measure: str
     unit: str
     quantity: Quantity
@@ -172,7 +176,7 @@ class Summary:
         Parameters
         ----------
         group
-            Name of the group.
+            Name or label of the group.
         metric, design, method
             Names in the study; needed if the summary has several.
 
@@ -181,8 +185,10 @@ class Summary:
         SceneCaptumError
             If there is no such row, or several metrics, designs or methods have one.
         """
-        wanted = {"group": group, "metric": metric, "design": design, "method": method}
         rows = list(self.rows)
+        if group not in {row.group for row in rows}:
+            group = next((row.group for row in rows if row.label == group), group)
+        wanted = {"group": group, "metric": metric, "design": design, "method": method}
         for axis, name in wanted.items():
             known = list(dict.fromkeys(getattr(row, axis) for row in rows))
             if name is not None and name not in known:
@@ -237,11 +243,11 @@ class Summary:
             "between rooms, and between cameras of one room: standard deviations, less the noise of the cells",
             "+ and −: rooms in which the effect is clearly positive or negative",
         ]
-        unknown = group_by_text((row.group, note) for row in self.rows for note in row.unknowns)
-        groups = {row.group for row in self.rows}
+        unknown = group_by_text((row.label, note) for row in self.rows for note in row.unknowns)
+        groups = {row.label for row in self.rows}
         for note, names in unknown.items():
             notes.append(f"{_UNKNOWN} {note}{_where(names, groups)}")
-        if lopsided := [row.group for row in self.rows if row.is_lopsided]:
+        if lopsided := [row.label for row in self.rows if row.is_lopsided]:
             notes.append(
                 f"! one room has most of the weight{_where(lopsided, groups)}: give the noisy rooms more samples"
             )
@@ -276,14 +282,26 @@ def summarize_effects(
     effects = cell_effects(result, cells, group)
     for one in effects:
         questions.setdefault((one.cell.metric, one.cell.design, one.cell.method, one.group), []).append(one)
-    rows = [_row(result, names, effects) for names, effects in questions.items()]
+    labels = _labels(effects)
+    rows = [_row(result, names, labels, effects) for names, effects in questions.items()]
     order = list(dict.fromkeys(names[:3] for names in questions))
     rows.sort(key=lambda row: (order.index((row.metric, row.design, row.method)), -abs(row.mean)))
     several = len({one.cell.camera for one in effects}) > 1
-    doubts = tuple((f"{one.group} in {_place(one.cell, several)}", one.doubt) for one in effects if one.doubt)
+    doubts = tuple(
+        (f"{labels[one.group]} in {_place(one.cell, several)}", one.doubt) for one in effects if one.doubt
+    )
     left_out = len(result.failures) + len(result.missing)
     premises, cautions = tuple(notes_of(result, cells)), count_of_cautions(result, cells)
     return Summary(tuple(rows), len(cells), left_out, doubts, premises, cautions)
+
+
+def _labels(effects: Sequence[CellEffect]) -> dict[str, str]:
+    """Return the label of each group; its name where cells differ in the label, or another group shares it."""
+    pairs = {(one.group, one.label) for one in effects}
+    counts = Counter(group for group, _ in pairs) + Counter(f"label {label}" for _, label in pairs)
+    return {
+        group: label if counts[group] == counts[f"label {label}"] == 1 else group for group, label in pairs
+    }
 
 
 def _where(names: Sequence[str], groups: set[str]) -> str:
@@ -296,7 +314,9 @@ def _place(cell: Cell, with_camera: bool) -> str:
     return f"{cell.scene}, {camera_name(cell.camera)}" if with_camera else cell.scene
 
 
-def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffect]) -> GroupEffect:
+def _row(
+    result: CellResults, names: tuple[str, ...], labels: Mapping[str, str], effects: Sequence[CellEffect]
+) -> GroupEffect:
     metric, design, method, group = names
     numbers = result.numbers(effects[0].cell)
     combined = combine(
@@ -308,6 +328,7 @@ def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffe
         design=design,
         method=method,
         group=group,
+        label=labels[group],
         measure=numbers["measure"],
         unit=numbers["unit"],
         quantity=effects[0].quantity,
@@ -317,7 +338,7 @@ def _row(result: CellResults, names: tuple[str, ...], effects: Sequence[CellEffe
 def table_columns(rows: Sequence[GroupEffect]) -> dict[str, list[str]]:
     """Return the cells of the table by column, with the decimal points of the means aligned."""
     return {
-        "group": shorten([row.group for row in rows], _NAME_WIDTH),
+        "group": shorten([row.label for row in rows], _NAME_WIDTH),
         "mean effect": _means(rows),
         "95 % interval": [_interval(row.low, row.high) for row in rows],
         "new room": [_interval(row.new_low, row.new_high) for row in rows],

@@ -197,8 +197,8 @@ def bar_notes(
 
 def bar_doubts(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[str]:
     """Return the reasons for which error bars of these rows are unreliable."""
-    shown = {row.name for row in rows}
-    doubts = {why: names for why, names in untrusted_groups(attribution).items() if shown.intersection(names)}
+    shown = [row.name for row in rows]
+    doubts = {why: names for why, names in untrusted_groups(attribution).items() if {*shown} & {*names}}
     return doubt_notes(doubts, attribution.labels, shown, len(attribution))
 
 

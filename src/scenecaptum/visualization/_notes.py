@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import first_few, group_by_text
@@ -203,17 +203,22 @@ def scene_cautions(attribution: Attribution) -> list[str]:
 
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
-    """Group the parameters with unreliable error bars by the reason."""
-    return group_by_text(attribution.untrusted_errors().items())
+    """Group the parameters with unreliable error bars by the reason, in the order of the ranking."""
+    reasons = attribution.untrusted_errors()
+    order = dict.fromkeys([*(row.name for row in attribution.ranking()), *reasons])
+    return group_by_text((name, reasons[name]) for name in order if name in reasons)
 
 
 def doubt_notes(
-    doubts: Mapping[str, Sequence[str]], labels: Mapping[str, str], shown: Collection[str], count: int
+    doubts: Mapping[str, Sequence[str]], labels: Mapping[str, str], shown: Sequence[str], count: int
 ) -> list[str]:
-    """Return what the mark ``?`` means: each reason, with the first of the rows that it is about of ``count``."""
-    notes = []
+    """Return what the mark ``?`` means: each reason, with the first of the rows that it is about of ``count``.
+
+    ``shown`` are those that have a row, in their order; others follow.
+    """
+    notes, place = [], {name: index for index, name in enumerate(shown)}
     for reason, names in doubts.items():
-        first_shown = sorted(names, key=lambda name: name not in shown)
+        first_shown = sorted(names, key=lambda name: place.get(name, len(place)))
         named = first_few([labels.get(name, name) for name in first_shown], "; ")
         whose = ", ".join(filter(None, [named, hidden_of(names, shown)]))
         notes.append(f"{reason} ({'all parameters' if len(names) == count else whose})")

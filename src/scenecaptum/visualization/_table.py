@@ -191,7 +191,7 @@ def _table(
         )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")
-    doubts = doubt_notes(untrusted, attribution.labels, with_rows, len(attribution))
+    doubts = doubt_notes(untrusted, attribution.labels, [row.name for row in shown], len(attribution))
     notes += [f"?  {doubt}" for doubt in doubts]
     notes += jump_notes(attribution)
     for text, names in of_range.items():
