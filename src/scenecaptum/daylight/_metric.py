@@ -81,6 +81,7 @@ class DaylightMetric(torch.nn.Module):
 
     @property
     def greatest(self) -> float | None:
+        """The published value where every point counts; None of a metric that does not count points."""
         return 100.0 if self.counts_points else None
 
     @property
