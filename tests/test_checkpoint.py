@@ -387,7 +387,7 @@ def test_command_line(tmp_path: Path, capsys: Any, mi: Any) -> None:
         "--resolution",
         "8x8",
         "--spp",
-        "8",
+        "128",  # so that the change exceeds its noise
         "--top",
         "1",
     ]

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import torch
 
+from ..checkpoint import without_checkpoint
 from ..errors import SceneCaptumError
 from ..estimation import Adjoints, GradientSum, scaled
 from ..projection import SurfaceMap
@@ -402,7 +403,8 @@ def info_of(renderer: Renderer, values: Tensors) -> dict[str, Any]:
     of = Capabilities(renderer).info_of
     info = dict(of(values) if of else Capabilities(renderer).info or {})
     # A renderer of one's own may have no scene by which its results could be told apart.
-    name = getattr(renderer, "__name__", type(renderer).__name__)
+    own = without_checkpoint(renderer)
+    name = getattr(own, "__name__", type(own).__name__)
     return info if "scene" in info else {"renderer": name, **info}
 
 

@@ -57,7 +57,10 @@ class ContrastRatio(torch.nn.Module):
         return cast_like(bright.clamp(min=self.floor) / dark.clamp(min=self.floor), image)
 
     def caution_of(self, image: torch.Tensor, target: object = None) -> str:
-        """Return why the ratio of a picture ``image`` means nothing; empty if it means something."""
+        """Return why the ratio of a picture ``image`` means nothing; empty if it means something.
+
+        ``target`` has no meaning for a single number.
+        """
         dark = self._percentile(image, self.low).item()
         if dark >= self.floor:
             return ""

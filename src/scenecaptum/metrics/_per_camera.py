@@ -93,7 +93,10 @@ class PerCamera(torch.nn.Module):
         return next(filter(None, cautions), None)
 
     def caution_of(self, images: torch.Tensor, target: Target = None) -> str:
-        """Return why the value of one camera of a stack ``images`` means nothing, if its metric says so."""
+        """Return why the value of one camera of a stack ``images`` means nothing, if its metric says so.
+
+        ``target`` is as for ``verdict``.
+        """
         camera, element = _split(target)
         of_image = None if camera is None else getattr(self._metric_of(camera), "caution_of", None)
         return "" if of_image is None else str(of_image(images[camera], element))
