@@ -538,5 +538,5 @@ class Explanation:
 
 
 def _exceeds(row: RankedParameter, errors: float) -> bool:
-    """Whether an effect is more than so many standard errors from 0."""
+    """Whether an effect is more than a number of standard errors from 0."""
     return abs(row.effect) > errors * (row.effect_error or 0.0)

@@ -45,7 +45,7 @@ def near_threshold_note(metric: Metric, image: torch.Tensor) -> str:
 
 
 def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
-    """Whether the sources of a metric are brighter than a luminance, and not than so many times the mean."""
+    """Whether the threshold of a glare rating is a luminance, and not a multiple of the mean luminance."""
     return isinstance(metric, GlareRating) and metric.threshold_factor is None
 
 
