@@ -20,7 +20,6 @@ from ..metrics import GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
-from ..validation import Scenes
 from ..visualization import metric_name, table_text, terminal_width, wrap
 from . import _arguments
 from ._design import add_design, designed_values
@@ -31,6 +30,7 @@ from ._metrics import DEFAULT, add_metric, find_metrics
 from ._once import Once
 from ._plan import plan_format, plan_of
 from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
+from ._renders import renders_like
 
 REPORT = "report.html"
 
@@ -243,15 +243,7 @@ def _stated(
         return Finished(attribution, metric)
     if attribution.info.get("interrupted"):
         return Finished(attribution, metric, definition_of(targeted, image[None]))
-    images = Scenes(
-        renderer,
-        metric,
-        options.target,
-        seed=options.seed,
-        spp=(attribution.info.get("picture") or {}).get("spp"),
-        replicates=DEFAULT_REPLICATES,
-        values=values,
-    ).images
+    images = renders_like(attribution, renderer, metric, options, values).images
     shown = dataclasses.replace(attribution, image=images.mean(0))
     return Finished(shown, metric, definition_of(targeted, images))
 

@@ -14,7 +14,7 @@ import torch
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
-from ..estimation import DEFAULT_REPLICATES, Metric, TargetedMetric, at_values
+from ..estimation import Metric, TargetedMetric, at_values
 from ..explanation import (
     definition_of,
     difference_by_definition,
@@ -25,7 +25,6 @@ from ..explanation import (
 )
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
-from ..validation import Scenes, denoise_of
 from ..visualization import metric_name, share_scale
 from . import _arguments
 from ._compared import Compared, Side, lines, numbers
@@ -37,6 +36,7 @@ from ._metrics import add_metric, find_metrics
 from ._once import Once
 from ._plan import plan_of
 from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
+from ._renders import renders_like
 
 REPORT = "comparison.html"
 COMMON_NAMES = ("scene", "attribution", "design")
@@ -147,16 +147,7 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         )
         for values in (design, origin)
     )
-    scenes = Scenes(
-        renderer,
-        metric,
-        options.target,
-        seed=options.seed,
-        spp=(before.info.get("picture") or {}).get("spp"),  # the change is to be as accurate as the values
-        replicates=DEFAULT_REPLICATES,
-        denoise=denoise_of(before),
-        values=origin,
-    )
+    scenes = renders_like(before, renderer, metric, options, origin)
     titles = options.titles or _design_titles(options.origin, options.design)
     images = scenes.render(design or {})
     change = scenes.difference(images, design or {})
@@ -258,16 +249,7 @@ def _for_definition(
     ):
         return [None] * len(results)
     scenes = [
-        Scenes(
-            renderer,
-            metric,
-            options.target,
-            seed=options.seed,
-            spp=(attribution.info.get("picture") or {}).get("spp"),
-            replicates=DEFAULT_REPLICATES,
-            denoise=denoise_of(attribution),
-        )
-        for attribution, renderer, metric, _ in known
+        renders_like(attribution, renderer, metric, options) for attribution, renderer, metric, _ in known
     ]
     return [(one.metric, one.images) for one in scenes]
 
