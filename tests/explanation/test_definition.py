@@ -6,14 +6,13 @@ import math
 
 import pytest
 import torch
-from seeds import shifted
+from seeds import seeds, shifted
 
 from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, daylight, metrics
 from scenecaptum.denoising import denoise
-from scenecaptum.estimation import TargetedMetric
+from scenecaptum.estimation import TargetedMetric, difference_by_definition, half_sample_error
 from scenecaptum.explanation import (
     definition_of,
-    difference_by_definition,
     photometric_premises,
     rated_image,
     states_definition,
@@ -94,6 +93,29 @@ def test_a_glare_rating_near_its_threshold_is_stated_by_the_definition() -> None
     assert not states_definition(metric, bright[0])
     assert metric.value(bright[0]) == pytest.approx(hard(bright[0]).item())
     assert not states_definition(TargetedMetric(hard), images[0])
+
+
+@pytest.mark.parametrize("luminance", [1950, 1990, 2005, 2050])
+def test_the_error_of_a_rating_near_its_threshold_includes_pixels_on_the_wrong_side(luminance: float) -> None:
+    """Noise takes a share of the pixels across, nearly the same in each render: repeats do not show that error."""
+    camera = Camera.perspective(32, 32, fov_x=60)
+    true = torch.full((32, 32, 3), 0.5)
+    true[16, 8:12] = 9000 / 179  # a lamp far from the threshold
+    true[4:12, 8:24] = luminance / 179
+    metric = TargetedMetric(metrics.UnifiedGlareRating(camera))
+    exact = metrics.UnifiedGlareRating(camera, relaxation=0)(true).item()
+    for seed in seeds(8):
+        noise = torch.randn(8, 32, 32, 1, generator=torch.Generator().manual_seed(seed))
+        images = true * (1 + 0.05 * noise).expand(-1, -1, -1, 3)  # of 2 % in their mean
+        found = definition_of(metric, images)
+        assert abs(found.value - exact) < 2 * found.error
+        change, error = difference_by_definition(metric, metric, (images, 4 * images))
+        assert abs(change - (metric.by_definition().value(4 * true) - exact)) < 3 * error
+    bright = definition_of(metric, 1.5 * images)
+    repeats = half_sample_error(lambda kept: metric.by_definition().value(1.5 * images[kept].mean(0)), 8)
+    assert bright.error == pytest.approx(repeats, rel=1e-4), (
+        "far from the threshold the repeats show the whole error"
+    )
 
 
 def test_the_rated_image_is_the_denoised_one_of_the_camera_of_the_values(mi):

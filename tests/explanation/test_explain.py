@@ -260,7 +260,7 @@ def test_a_relaxed_rating_in_another_class_than_its_definition_names_that_class(
     """In the table, in the titles of figures and on the card of a report; elsewhere the class stands alone."""
     camera = Camera.perspective(16, 16, 60.0)
     bright = torch.zeros(16, 16, 3) + 0.05
-    bright[4:8, 4:8] = 2000.0 / 179.0 * 1.05  # counts by half if relaxed, and whole by the definition
+    bright[4:8, 4:8] = 2000.0 / 179.0 * 1.08  # counts by half if relaxed, and whole by the definition
     rating = metrics.UnifiedGlareRating(camera, relaxation=0.3)
     exact = rating.hard(bright).item()
     targeted = TargetedMetric(rating)
@@ -274,6 +274,11 @@ def test_a_relaxed_rating_in_another_class_than_its_definition_names_that_class(
     assert ", relaxed" in results.all_text(plot_bars(result))
     assert Explanation(result).rating() == said["verdict"], (
         "without the source of the classes of the other value"
+    )
+    close = rating(bright / 1.06), rating.hard(0.9 * bright), exact
+    low, high = (f"{value:.4g}" for value in (close[1].item(), rating.hard(bright / 1.06).item()))
+    assert rating.unrated(bright / 1.06) == (
+        f"relaxed; by the definition {low} to {high}: pixels are within 5 % of the threshold"
     )
     alike = metrics.UnifiedGlareRating(camera, threshold=500.0)
     assert not TargetedMetric(alike).describe(alike(bright).item(), bright)["relaxed"]

@@ -418,11 +418,11 @@ def test_a_rating_that_reaches_its_goal_is_to_be_confirmed_at_another_resolution
     def run(metric: Any, below: float) -> optimize.Optimization:
         return optimize.minimize(room, metric, below, top=1, steps=8)
 
-    room = SceneRenderer("office", "emitters", resolution=(24, 14), spp=16, max_depth=2)
+    room = SceneRenderer("office", "emitters", resolution=(24, 14), spp=256, max_depth=2)
     glare = metrics.UnifiedGlareRating(room.camera)
     reached = run(glare, 21.0)
     assert str(reached).splitlines()[-1] == reached.note
-    assert reached.note.endswith("rate the design again at twice the resolution")
+    assert reached.note.endswith("rate the design again at twice the resolution, with four times the samples")
     assert not run(glare, -100.0).note
     assert not run(metrics.MeanLuminance(), 1e6).note  # it has no classes
 

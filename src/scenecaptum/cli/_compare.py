@@ -14,10 +14,9 @@ import torch
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..designs import design_of, read_design
 from ..errors import SceneCaptumError
-from ..estimation import Metric, TargetedMetric, at_values
+from ..estimation import Metric, TargetedMetric, at_values, difference_by_definition
 from ..explanation import (
     definition_of,
-    difference_by_definition,
     grid_premises,
     photometric_premises,
     rated_image,

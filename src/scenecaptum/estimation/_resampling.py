@@ -74,12 +74,12 @@ def half_sample_error(statistic: Callable[[torch.Tensor], float], count: int) ->
     if count < 2:
         return None
     of_all = statistic(torch.arange(count))
-    splits = _balanced_halves(count)
+    splits = balanced_halves(count)
     squares = [len(kept) / count * (statistic(kept) - of_all) ** 2 for halves in splits for kept in halves]
     return math.sqrt(sum(squares) / len(splits))
 
 
-def _balanced_halves(count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
+def balanced_halves(count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:
     """Return splits of at least 2 samples into halves: rows of Sylvester's Hadamard matrix."""
     samples = torch.arange(count)
     splits = []

@@ -5,7 +5,6 @@ __all__ = ["explain"]
 
 from ._definition import class_by_definition as class_by_definition
 from ._definition import definition_of as definition_of
-from ._definition import difference_by_definition as difference_by_definition
 from ._definition import states_definition as states_definition
 from ._explain import AT_THE_GOAL as AT_THE_GOAL
 from ._explain import explain as explain

@@ -9,12 +9,11 @@ from collections.abc import Mapping
 import torch
 
 from ..attr import Change, Definition, SceneAttribution
-from ..estimation import at_values, channel_totals
+from ..estimation import at_values, channel_totals, difference_by_definition
 from ..optimize import BOUND_MARGIN, construction, design_bounds, first_of_each_light
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
-from ._definition import difference_by_definition
 
 STEP = 0.1  # of a bounded range
 DIMMING = 0.25  # of an unbounded value, such as a radiance

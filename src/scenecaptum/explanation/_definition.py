@@ -8,7 +8,7 @@ import torch
 
 from ..attr import Definition
 from ..daylight import DaylightMetric
-from ..estimation import TargetedMetric, half_sample_error
+from ..estimation import TargetedMetric, value_by_definition
 from ..metrics import GlareRating
 from ._threshold import is_near_threshold
 
@@ -31,11 +31,10 @@ def definition_of(metric: TargetedMetric, images: torch.Tensor) -> Definition | 
     ``images`` are independent daylight coefficients, ``(replicates, points, P, 3)``, or pictures, whose mean is
     rated. A single one has no error.
     """
-    exact = metric.by_definition()
-    if exact is None:
+    stated = value_by_definition(metric, images)
+    if stated is None:
         return None
-    value = exact.value(images.mean(0))
-    error = half_sample_error(lambda kept: exact.value(images[kept].mean(0)), len(images))
+    value, error = stated
     relaxed: Any = metric.metric
     is_of_daylight = isinstance(relaxed, DaylightMetric)
     counts = is_of_daylight and relaxed.counts_points
@@ -50,22 +49,3 @@ def class_by_definition(metric: TargetedMetric, value: float, image: torch.Tenso
     relaxed: Any = metric.metric
     unrated = relaxed.unrated(metric.transform(image), hard=True) if isinstance(relaxed, GlareRating) else ""
     return str(unrated or relaxed.measure.verdict(value))
-
-
-def difference_by_definition(
-    before: TargetedMetric, after: TargetedMetric, images: tuple[torch.Tensor, torch.Tensor]
-) -> tuple[float, float | None] | None:
-    """Return the change of the value of ``definition_of`` and its standard error; None for other metrics.
-
-    Both are those of the same random numbers, most of whose noise cancels. The metrics differ by their image
-    transforms, which follow what has moved.
-    """
-    first, second = before.by_definition(), after.by_definition()
-    if first is None or second is None:
-        return None
-
-    def difference(kept: torch.Tensor) -> float:
-        return second.value(images[1][kept].mean(0)) - first.value(images[0][kept].mean(0))
-
-    count = len(images[1])
-    return difference(torch.arange(count)), half_sample_error(difference, count)

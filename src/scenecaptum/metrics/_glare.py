@@ -22,6 +22,7 @@ Grouping = Literal["evalglare", "pixel"]
 Background = Literal["auto", "hemisphere", "mean"]
 
 NO_SOURCE = "no glare source found"
+_CLOSE = 0.05  # of the threshold: a picture may have a source on its other side
 
 # Linear RGB colours of the sources in the check image, before normalization to luminance 1.
 _COLORS = (
@@ -128,19 +129,22 @@ class GlareRating(torch.nn.Module):
         values = photometric_luminance(image, self.efficacy, self.camera)
         return cast_like(self._rate(values, self._find_sources(values)), image)
 
-    def hard(self, image: torch.Tensor) -> torch.Tensor:
+    def hard(self, image: torch.Tensor, *, compared: torch.Tensor | None = None) -> torch.Tensor:
         """Return the rating by the definition: with the hard threshold of evalglare, which ``relaxation`` smooths.
 
         Both are the same where no pixel is within the transition. Shapes and errors are those of ``forward``.
+        ``compared`` is the image that is compared with the threshold, ``(H, W, 3)``; by default it is ``image``.
         """
         values = photometric_luminance(image, self.efficacy, self.camera)
-        return cast_like(self._rate(values, self._find_sources(values, relaxation=0.0)), image)
+        seen = None if compared is None else photometric_luminance(compared, self.efficacy, self.camera)
+        return cast_like(self._rate(values, self._find_sources(values, relaxation=0.0, compared=seen)), image)
 
     def unrated(self, image: torch.Tensor, *, hard: bool = False) -> str:
         """Return why the rating of an ``image``, ``(H, W, 3)``, has no class, or nothing; ``hard``: by ``hard``.
 
         Without a glare source a rating of sources alone is 0, which is no finding that there is little glare.
-        Where the rating by the definition is in another class, that one is named.
+        Where the rating by the definition is in another class, that one is named, or its range where it depends
+        on pixels within 5 % of the threshold.
         """
         values = photometric_luminance(image.detach(), self.efficacy, self.camera)
         found = self._find_sources(values, relaxation=0.0 if hard else None)
@@ -148,16 +152,26 @@ class GlareRating(torch.nn.Module):
             return NO_SOURCE
         if hard or not self.is_relaxed_at(image):
             return ""
-        exact = self.hard(image).item()
-        return f"relaxed; by the definition {exact:.4g}: {self._class_of(exact)}"
+        low, exact, high = self._around_threshold(image)
+        if self._class_of(low) == self._class_of(high):
+            return f"relaxed; by the definition {exact:.4g}: {self._class_of(exact)}"
+        close = f"pixels are within {100 * _CLOSE:g} % of the threshold"
+        return f"relaxed; by the definition {low:.4g} to {high:.4g}: {close}"
 
     def is_relaxed_at(self, image: torch.Tensor) -> bool:
-        """Whether the rating of an ``(H, W, 3)`` image by the definition is in another class."""
+        """Whether the rating of an ``(H, W, 3)`` image by the definition is, or may be, in another class."""
         if not self.relaxation:
             return False
         with torch.no_grad():
-            relaxed, exact = self(image), self.hard(image)
-        return self._class_of(relaxed.item()) != self._class_of(exact.item())
+            relaxed = self(image).item()
+        return {self._class_of(value) for value in self._around_threshold(image)} != {self._class_of(relaxed)}
+
+    def _around_threshold(self, image: torch.Tensor) -> tuple[float, float, float]:
+        """Return the rating by the definition, and its range if close pixels are on either side."""
+        with torch.no_grad():
+            exact = self.hard(image).item()
+            others = [self.hard(image, compared=(1 + s) * image).item() for s in (-_CLOSE, _CLOSE)]
+        return min(exact, *others), exact, max(exact, *others)
 
     def _class_of(self, value: float) -> str:
         return str(self.measure.verdict(value))
@@ -202,10 +216,16 @@ class GlareRating(torch.nn.Module):
     def _rate(self, luminance: torch.Tensor, sources: Sources | None) -> torch.Tensor:
         """Return the rating for the luminance in cd/m², ``(H, W)``, and its sources."""
 
-    def _find_sources(self, luminance: torch.Tensor, relaxation: float | None = None) -> Sources | None:
+    def _find_sources(
+        self,
+        luminance: torch.Tensor,
+        relaxation: float | None = None,
+        compared: torch.Tensor | None = None,
+    ) -> Sources | None:
         return find_sources(
             luminance,
             self.pixels,
+            compared=luminance if compared is None else compared,
             threshold=self._threshold(luminance),
             relaxation=self.relaxation if relaxation is None else relaxation,
             grouping=self.grouping,

@@ -83,6 +83,7 @@ def find_sources(
     luminance: torch.Tensor,
     geometry: PixelGeometry,
     *,
+    compared: torch.Tensor,
     threshold: torch.Tensor,
     relaxation: float,
     grouping: str,
@@ -90,13 +91,14 @@ def find_sources(
 ) -> Sources | None:
     """Detect and sum the sources of an image, ``(H, W)`` in cd/m²; None if there are none.
 
+    ``compared`` is the image that is compared with the threshold: the same, or one of a little more or less light.
     Each pixel has the weight w of `source_weight`. For the pixels of one source, ``ω_s = Σ w ω`` is the solid
     angle and ``L_s = Σ w ω L / ω_s`` the luminance; both are differentiable, also through w. The grouping of
     pixels into sources and their centres are not.
     """
     values = luminance.flatten()
     solid_angle, projected = geometry.solid_angle.to(values), geometry.projected.to(values)
-    weight = source_weight(values, threshold, relaxation) * (solid_angle > 0)
+    weight = source_weight(compared.flatten(), threshold, relaxation) * (solid_angle > 0)
     pixels = ((weight > 0) & (values > 0)).nonzero().squeeze(-1)
     if len(pixels) == 0:
         return None

@@ -25,11 +25,11 @@ from ..estimation import (
     check_renderer_and_metric,
     derived_seeds,
     gradients_enabled,
-    half_sample_error,
     input_values,
     jackknife,
     render_images,
     require_memory,
+    value_by_definition,
     with_image_transform,
 )
 from ..protocols import Capabilities, Renderer
@@ -40,7 +40,9 @@ from ._result import Measured, Moved, Optimization
 BISECTIONS = 3  # of the last step
 CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
 KEPT_CONE = "belongs to the construction of a spot, which a design does not change."
-NOISE_ONLY = "the errors are of noise only: rate the design again at twice the resolution"
+NOISE_ONLY = (
+    "the errors are of noise only: rate the design again at twice the resolution, with four times the samples"
+)
 
 
 @dataclass(frozen=True)
@@ -315,17 +317,12 @@ class Search:
 
     def _measured(self, values: Mapping[str, torch.Tensor], images: list[torch.Tensor]) -> Measured:
         metric, pictures = at_values(self._transformed, self._renderer, values), torch.stack(images)
-        estimate, exact = jackknife(metric, images), metric.by_definition()
+        estimate, stated = jackknife(metric, images), value_by_definition(metric, pictures)
         value, error = estimate.value, estimate.standard_error or 0.0
-        if exact is None:
+        if stated is None:
             return Measured(value, error, pictures.mean(0))
-
-        def by_definition(kept: torch.Tensor) -> float:
-            return exact.value(pictures[kept].mean(0))
-
-        count = len(images)
-        jumping = half_sample_error(by_definition, count) or 0.0
-        return Measured(by_definition(torch.arange(count)), jumping, pictures.mean(0), value, error)
+        exact, exact_error = stated
+        return Measured(exact, exact_error or 0.0, pictures.mean(0), value, error)
 
 
 def _shortened(
