@@ -191,7 +191,7 @@ def make_plan(
     noisy = _noisy_roughness(graph, routes, sensors) if integrator.light_tracing and not hide_emitters else ()
     if noisy:
         reasons[f"{len(noisy)} of low roughness among others"] = (
-            "attributed alone, each has a smaller error, because lamps light it"
+            "as the only input, each has a smaller error, because lamps light it"
         )
     cautions = (
         *(

@@ -85,9 +85,10 @@ def plot_specificity(
     legend: dict[Any, Any] = {}
     for attribution, ranked in zip(attributions, rows, strict=True):
         legend |= {entry.get_label(): entry for entry in bar_legend(attribution, ranked, scale)}
+    legend_columns = min(2, columns)
     # Each row has its height, whatever the texts around the bars need.
     lines = (
-        TITLE * len(heading) + TEXT * _most_lines(titles) + SMALL * (_most_lines(labels) + len(legend) / 2)
+        TITLE * len(heading) + TEXT * _most_lines(titles) + SMALL * (_most_lines(labels) + len(legend) / legend_columns)
     )
     bars = 0.9 + 1.4 * lines / 72 + _ROW_HEIGHT * max(map(len, rows))
     part: Any = figure or new_figure(_COLUMN_WIDTH * columns + 0.7, bars + maps)
@@ -104,7 +105,7 @@ def plot_specificity(
         upper.suptitle("\n".join(heading), fontsize=TITLE, parse_math=False)
     _draw_titles(upper, titles)
     if legend:
-        style: dict[str, Any] = {"loc": "outside lower center", "ncols": 2, "frameon": False}
+        style: dict[str, Any] = {"loc": "outside lower center", "ncols": legend_columns, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
     axes = lower.subplots(1, columns, squeeze=False)[0]
     if footnotes:
