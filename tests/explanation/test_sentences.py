@@ -474,6 +474,18 @@ def test_the_exact_value_is_to_be_quoted_and_cautions_stand_first():
     assert not any(note.startswith("quote") for note in of_daylight(56.8, 0.5).notes())
 
 
+def test_no_value_is_to_be_quoted_of_a_picture_that_is_too_noisy():
+    noisy = dataclasses.replace(
+        rated(9.4, 2.1),
+        info=rated(9.4, 2.1).info
+        | {"picture": {"caution": "the picture is too noisy for the relaxed value"}},
+    )
+    note = Explanation(noisy, definition=Definition(7.7, "", error=0.5)).notes()[-1]
+    assert note == (
+        "7.7 ± 0.5 is the value by the definition; the relaxed value 9.4 ± 2.1 only serves the derivatives"
+    )
+
+
 def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():
     near = of_daylight(59.6, 0.6, definition=Definition(58.7, "at least 55 %", 63, error=2.0))
     assert near.headline() == "spatial daylight autonomy = 58.7 ± 2.0 %"

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from ..estimation import student_t
+from ..estimation import TOO_NOISY, student_t
 from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
@@ -206,10 +206,10 @@ class Explanation:
         if one is not None:
             few = ": choose a finer spacing" if points is not None and points < FEW_POINTS else ""
             steps = f" (in steps of {self._in_unit(self._plain(one))}, one point{few})"
-        return (
-            f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
-            f"{self._relaxed()} only serves the derivatives"
-        )
+        value, what = self._in_unit(self.value()), f"the value by the definition{steps}"
+        caution = (self.attribution.info.get("picture") or {}).get("caution") or ""
+        stated = f"{value} is {what}" if TOO_NOISY in caution else f"quote {value}, {what}"
+        return f"{stated}; the relaxed value {self._relaxed()} only serves the derivatives"
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
