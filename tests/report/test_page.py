@@ -214,7 +214,7 @@ def test_without_any_effect_the_list_is_one_line_and_the_picture_is_plain(browse
         assert (float(opacity) > 0) == is_lit
         grey = page.page.locator("#render").evaluate("one => one.style.filter")
         assert (grey == "grayscale(0)") != is_lit
-        for selector in ("#scale", "#opacity", "#png", "#svg", "#filter"):
+        for selector in ("#scale", "#opacity", "#of-pictures", "#png", "#svg", "#filter"):
             assert page.page.locator(selector).is_visible() == is_lit
     page.check(path)
     page.context.close()
