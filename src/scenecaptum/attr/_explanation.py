@@ -290,7 +290,10 @@ class Explanation:
             *lines,
             *below,
             *(f"{mark} {reason}" for reason, mark in wrong.items()),
-            *(f"? {reason}" for reason in doubts),
+            *(
+                f"? {reason}" if whose in partial else f"all parameters: {reason}"
+                for reason, whose in doubts.items()
+            ),
             *(f"~ {note}" for note in notes),
             *unit_notes(self.attribution, stated),
         ]
