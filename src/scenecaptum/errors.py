@@ -12,7 +12,7 @@ from numbers import Real
 
 _MOST_LISTED = 20  # names in a message
 # What the same thing is called elsewhere, and here.
-_SYNONYMS = {"--camera": "--sensor", "lamps": "emitters", "lights": "emitters"}
+_SYNONYMS = {"--camera": "--sensor", "--inputs": "--kind", "lamps": "emitters", "lights": "emitters"}
 
 
 class SceneCaptumError(Exception):

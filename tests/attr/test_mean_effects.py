@@ -57,7 +57,9 @@ def test_spread_is_the_standard_deviation_of_the_effects():
 def test_a_table_of_few_replicates_says_so():
     method = VanillaSceneGradient(ReplayingToyRenderer(0.5), quarters)
     table = mean_effects(method.attribute(target=TARGETS, seed=shifted(), replicates=2))
-    assert "?  with 2 replicates the standard error has about 71 % relative uncertainty" in str(table)
+    assert "all parameters: with 2 replicates the standard error has about 71 % relative uncertainty" in str(
+        table
+    )
     [row] = table.rows
     some = dataclasses.replace(table, rows=(row, row._replace(name="y", label="y")), untrusted={"y": "why"})
     marks = ["?" in line for line in str(some).splitlines()[1:3]]

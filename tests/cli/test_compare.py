@@ -107,7 +107,11 @@ def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(
     printed = " ".join(capsys.readouterr().out.split())
     assert re.search(r"small: unified glare rating = \S+ ± \S+ at 16×9 pixels, relaxed ", printed)
     assert re.search(r"wide: unified glare rating = \S+ ± \S+ at 16×16 pixels, relaxed ", printed)
-    assert "Values by the definition are not compared: compare the scenes to get their change." in printed
+    assert "The change by the definition was not computed." in printed
+    assert "Compare the scenes, not saved results, to get the change by the definition." in printed
+    page = (tmp_path / "out" / "comparison.html").read_text()
+    assert "The change by the definition was not computed." in page
+    assert "ompare the scenes" not in page
     assert "has no value by the definition" not in printed, "its verdict may state one"
     assert (
         "resolution 16×9 against 16×16; camera perspective, 65.81° wide against fisheye, 180° wide" in printed

@@ -16,6 +16,14 @@ def test_a_rating_near_its_threshold_is_stated_by_the_definition(tmp_path, capsy
     assert all(result["definition"] for result in found["results"])
     change = found["change"]
     assert change["value"] < change["definition"]["value"] < 0
-    assert cli.main(["attribute", *small.split(), *dimmed.split(), "--out", str(tmp_path / "b")]) == 0
+    attributed = ["attribute", *small.split(), *dimmed.split(), "--report", "--out", str(tmp_path / "b")]
+    assert cli.main(attributed) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "the value by the definition, with its error, is that of an explanation" in printed
+    relaxed = "this rating is relaxed near the threshold; the value by the definition has no error bar here"
+    assert relaxed in printed
+    assert "`scenecaptum explain` states the value by the definition with its error bar" in printed
+    # What to run is for who runs it, and not for the readers of the page.
+    page = (tmp_path / "b" / "report.html").read_text()
+    premises = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"][0]["premises"]
+    assert relaxed in premises
+    assert "scenecaptum" not in " ".join(premises)

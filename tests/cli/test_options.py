@@ -885,6 +885,22 @@ def test_a_camera_is_chosen_as_a_sensor(capsys: pytest.CaptureFixture[str]) -> N
     assert "Did you mean '--sensor'?" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("given", "hint"),
+    [
+        ("parameters office --inputs textures", "Did you mean '--kind'?"),
+        ("compare office --set a=1 --report", "compare always writes its page, comparison.html"),
+    ],
+)
+def test_an_option_of_other_commands_has_a_hint(
+    given: str, hint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(shlex.split(given))
+    error = capsys.readouterr().err
+    assert hint in error
+
+
 @pytest.mark.parametrize("name", [name for name in subparsers() if name != "doctor"])
 def test_a_misspelt_option_shows_the_usage_of_its_command(
     name: str, capsys: pytest.CaptureFixture[str]

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from scenecaptum import cli
+from scenecaptum.cli._attribute import EXPLAIN
 
 
 @pytest.fixture
@@ -43,3 +44,18 @@ def test_the_command_computes_on_dask(
     monkeypatch.setattr("scenecaptum.cli._study.PATIENCE", "1s")
     assert cli.main([*command, "--dask", "tcp://127.0.0.1:1"]) == 2
     assert "There is no Dask scheduler at tcp://127.0.0.1:1" in capsys.readouterr().err
+
+
+def test_of_relaxed_values_the_terminal_says_what_to_run_and_the_page_does_not(
+    own_threads: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A sky just above the threshold of 2000 cd/m² counts in part in the relaxed rating."""
+    file, out = tmp_path / "rooms.json", tmp_path / "out"
+    small = {"inputs": "emitters", "methods": ["value"], "resolution": [32, 18], "spp": 16, "max_depth": 3}
+    dim = {"dim": {"sky.emitter.radiance.value*": 0.7}}
+    file.write_text(json.dumps({"scenes": ["office"], "metrics": ["ugr"], "designs": dim, **small}))
+    assert cli.main(["study", str(file), "--out", str(out), "--no-progress", "--report"]) == 0
+    assert EXPLAIN in capsys.readouterr().out
+    page = (out / "report" / "index.html").read_text(encoding="utf-8")
+    assert "the value by the definition was not computed" in page
+    assert "explain" not in page

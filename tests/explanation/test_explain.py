@@ -228,6 +228,29 @@ def test_the_notes_on_a_rating_are_of_the_picture_of_its_value():
     assert not any("single samples" in note for note in notes)
 
 
+class _NoisyWindow:
+    """A room with a window near the threshold, whose luminance has much noise."""
+
+    inputs = {"paint": torch.tensor(0.5)}  # noqa: RUF012 -- read only
+
+    def __call__(self, inputs, *, seed=0, spp=None):
+        generator = torch.Generator().manual_seed(seed)
+        picture = torch.ones(16, 16, 3)
+        picture[4:6, 7:9] = 2 * 2000 / 179 * (0.8 * torch.randn((), generator=generator)).exp()
+        return inputs["paint"] * picture
+
+
+def test_the_caution_on_noise_says_that_it_is_of_the_relaxed_value():
+    rating = metrics.UnifiedGlareRating(Camera.perspective(16, 16, fov_x=60))
+    found = explain(_NoisyWindow(), rating, changes=0, denoise=False)
+    assert found.definition is not None
+    caution, *others = found.notes()
+    assert caution.startswith(
+        "caution: the picture is too noisy for the relaxed value: its 95 % interval is ± "
+    )
+    assert not any(note.startswith("quote") for note in others)
+
+
 @pytest.mark.parametrize("lamp", ["point", "spot"])
 def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, lamp: str):
     """A rating of 0 is no finding that there is little glare: its lamps have no area, and are not rated."""

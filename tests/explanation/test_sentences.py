@@ -113,6 +113,31 @@ def test_effects_and_shares_within_their_noise_are_not_said():
     assert any(line.startswith("desk roughness: −0.0978 ± 0.0008") for line in effects)
 
 
+def shares_of(*shares: tuple[str, float, float]) -> list[str]:
+    sources = tuple(Source(name, "left", share, error, 237.0) for name, share, error in shares)
+    return lines(Explanation(rated(24.8, 0.05), sources=sources)).get("Where the glare comes from", [])
+
+
+def test_no_share_that_is_larger_than_one_that_is_named_is_part_of_the_rest():
+    found = shares_of(
+        ("sky", 0.36, 0.2), ("white", 0.35, 0.21), ("ceramic", 0.1, 0.04), ("floor", 0.08, 0.05)
+    )
+    assert found == [
+        "sky, left: 36 ± 20 % of it, at 237 cd/m² (uncertain)",
+        "white, left: 35 ± 21 % of it, at 237 cd/m² (uncertain)",
+        "ceramic, left: 10 ± 4 % of it, at 237 cd/m²",
+        "the rest: 19.0 %",
+    ]
+
+
+def test_the_largest_shares_are_named_where_none_is_clear():
+    shares = [("sky", 0.4, 0.3), ("a", 0.2, 0.15), ("b", 0.15, 0.1), ("c", 0.1, 0.06)]
+    *named, rest = shares_of(*shares)
+    assert [line.split(",")[0] for line in named] == ["sky", "a", "b"]
+    assert all(line.endswith("(uncertain)") for line in named)
+    assert rest == "the rest: 25.0 %"
+
+
 def test_the_shares_of_other_metrics_say_of_what_they_are():
     said = lines(Explanation(rated(24.8, 0.05), sources=(Source("wall", "centre", 0.28, 0.01),)))
     heading = "What it sees in the picture: shares of the sum of |gradient × value| over the pixels"
@@ -271,8 +296,8 @@ def test_a_squared_gradient_has_no_sign_and_the_square_of_the_unit():
         return Explanation(dataclasses.replace(found, info=of_unit))
 
     squared = said(quantity=ResultKind.MEAN_SQUARED_GRADIENT.value)
-    larger, lamp, wall, note = effects_of(squared)
-    assert larger.endswith("floor reflectance (0 ± 40) may exceed those below")
+    lamp, wall, larger, note = effects_of(squared)
+    assert larger == "also uncertain: floor reflectance (0 ± 40) may exceed those above"
     assert (lamp, wall) == ("lamp radiance: 37.3 ± 1.7 (cd/m²)²", "wall reflectance: 20.0 ± 1.0 (cd/m²)²")
     assert note == "per unit: compare parameters of one kind only"
     (hiding,) = lines(squared)["Too noisy to say"]
@@ -291,6 +316,25 @@ def test_a_large_effect_with_a_clear_sign_is_stated_beside_a_small_one_that_is_e
     assert first == "the largest effect is uncertain: sun (+0.056 ± 0.030) may exceed those below"
     assert floor == "floor: −0.034 ± 0.007 (sign clear, size uncertain)"
     assert metal == "metal: −0.00200 ± 0.00030"
+
+
+def test_only_an_effect_that_is_larger_by_its_value_is_called_the_largest_one():
+    inputs = {"pane": (110.0, 20.0), "ceiling": (60.0, 29.0), "ground": (54.0, 20.0), "cloth": (-28.0, 9.0)}
+    found = with_errors(inputs | {"wall": (5.0, 8.0)})
+    assert effects_of(Explanation(found)) == [
+        "pane: +110 ± 20",
+        "also uncertain: ceiling (+60 ± 29) may exceed those above",
+    ]
+    (ranks,) = lines(Explanation(found))["Too noisy to say"]
+    signs = "ceiling (+60 ± 29), ground (+54 ± 20), cloth (−28 ± 9)"
+    assert ranks == f"how the others rank; clear in sign: {signs}"
+    # The reader asked for one, and got it.
+    assert "Too noisy to say" not in lines(Explanation(found, count=1))
+    # The one that is named is the largest one, not the one with the largest error.
+    larger = with_errors(inputs | {"lamp": (130.0, 70.0), "wall": (5.0, 150.0)})
+    assert effects_of(Explanation(larger))[0] == (
+        "the largest effect is uncertain: lamp (+130 ± 70) and 2 others may exceed those below"
+    )
 
 
 def test_an_effect_that_a_render_confirms_is_no_noise():
@@ -317,7 +361,9 @@ def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():
     assert (metal, floor) == ("metal: +2.00 ± 0.10 ?", "floor: +1.00 ± 0.10")
     assert note == "? too few samples contribute to its variance for a reliable error: its light is rare"
     both = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 3}})
-    assert [line[:1] for line in effects_of(Explanation(both)) if "?" in line] == ["?"]
+    # No row has the mark where all would have it.
+    assert effects_of(Explanation(both))[-1].startswith("all parameters: too few samples contribute")
+    assert "?" not in Explanation(both).text()
     assert effects_of(Explanation(few, count=1)) == [metal, note]
 
 
@@ -428,6 +474,18 @@ def test_the_exact_value_is_to_be_quoted_and_cautions_stand_first():
     share_of_hours = of_daylight(56.8, 0.5, definition=Definition(47.0, ""))
     assert not any("steps of" in note for note in share_of_hours.notes())
     assert not any(note.startswith("quote") for note in of_daylight(56.8, 0.5).notes())
+
+
+def test_no_value_is_to_be_quoted_of_a_picture_that_is_too_noisy():
+    noisy = dataclasses.replace(
+        rated(9.4, 2.1),
+        info=rated(9.4, 2.1).info
+        | {"picture": {"caution": "the picture is too noisy for the relaxed value"}},
+    )
+    note = Explanation(noisy, definition=Definition(7.7, "", error=0.5)).notes()[-1]
+    assert note == (
+        "7.7 ± 0.5 is the value by the definition; the relaxed value 9.4 ± 2.1 only serves the derivatives"
+    )
 
 
 def test_a_value_by_the_definition_has_an_error_and_its_class_may_be_in_doubt():

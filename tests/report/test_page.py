@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import html
-import itertools
 import json
 import re
 from pathlib import Path
@@ -215,18 +214,15 @@ def test_without_any_effect_the_list_is_one_line_and_the_picture_is_plain(browse
         assert (float(opacity) > 0) == is_lit
         grey = page.page.locator("#render").evaluate("one => one.style.filter")
         assert (grey == "grayscale(0)") != is_lit
-        for selector in ("#scale", "#opacity", "#png", "#svg", "#filter"):
+        for selector in ("#scale", "#opacity", "#of-pictures", "#png", "#svg", "#filter"):
             assert page.page.locator(selector).is_visible() == is_lit
     page.check(path)
     page.context.close()
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_names_of_classes_break_between_their_words(browser, tmp_path, width: int):
-    name = "PerCamera[0] (SpatialDaylightAutonomy)"
-    path = written(tmp_path, noted(ranged(), metric=name, method="IntegratedGradientsScene"))
-    page = Page(browser, path, viewport={"width": width, "height": 900})
-    lines = page.page.locator("#facts .metric dd").evaluate(
+def lines_of(page: Page, selector: str) -> list[str]:
+    """The lines of an element as they are drawn, without their spaces at both ends."""
+    lines: list[str] = page.page.locator(selector).evaluate(
         """one => {
           const lines = {};
           const texts = document.createTreeWalker(one, NodeFilter.SHOW_TEXT);
@@ -234,14 +230,46 @@ def test_names_of_classes_break_between_their_words(browser, tmp_path, width: in
             const range = document.createRange();
             range.setStart(texts.currentNode, at);
             range.setEnd(texts.currentNode, at + 1);
-            const top = Math.round(range.getBoundingClientRect().top);
-            lines[top] = (lines[top] ?? "") + range.toString();
+            const { bottom, width } = range.getBoundingClientRect();
+            if (width) lines[Math.round(bottom)] = (lines[Math.round(bottom)] ?? "") + range.toString();
           }
           return Object.values(lines);
         }"""
     )
-    assert "".join(lines) == name
-    assert all(line[-1] in " )" or re.match("[A-Z(]", after) for line, after in itertools.pairwise(lines))
+    return [line.strip() for line in lines]
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_names_of_classes_break_between_their_words_if_they_are_wider_than_a_line(
+    browser, tmp_path, width: int
+):
+    metric, method = "daylight glare probability (DaylightGlareProbability)", "ScenePart" * 8
+    path = written(tmp_path, noted(ranged(), metric=metric, method=method))
+    page = Page(browser, path, viewport={"width": width, "height": 900})
+    assert lines_of(page, "#facts .metric dd")[-1].endswith("(DaylightGlareProbability)")
+    parts = lines_of(page, "#facts .method dd")
+    assert len(parts) > 1
+    assert "".join(parts) == method
+    assert all(re.match("Scene|Part", part) and part.endswith(("Scene", "Part")) for part in parts)
+    page.context.close()
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_numbers_do_not_break_at_their_points(browser, tmp_path, width: int):
+    names = [f"a threshold factor of {15 + index}.105 and 0.7311 glare" for index in range(8)]
+    versions = {"scenecaptum": "0.2.0", "mitsuba": "3.9.1", "torch": "2.13.0+cpu", "numpy": "2.4.1"}
+    method = "−0.06386 5.105 wall.001.k a_b v1.b DaylightGlare"
+    path = written(
+        tmp_path, *(noted(ranged(), versions=versions, method=method) for _ in names), titles=names
+    )
+    page = Page(browser, path, viewport={"width": width, "height": 900})
+    page.page.locator("#rows tr").first.click()
+    for selector in ("#detail .card dl", "#facts .versions dd"):
+        lines = lines_of(page, f"{selector} >> nth=0")
+        assert not any(re.search(r"\d\.$", line) for line in lines), lines
+    words = page.page.locator("#facts .method dd .word").all()
+    breaks = [(word.inner_text(), word.locator("wbr").count()) for word in words]
+    assert breaks == [("wall.001.k", 2), ("a_b", 1), ("v1.b", 1), ("DaylightGlare", 1)]
     page.context.close()
 
 

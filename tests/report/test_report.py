@@ -354,7 +354,10 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     assert "? one replicate has nearly all" in page.page.locator("#detail").inner_text()
     # A caution for all parameters is shown once.
     page.page.get_by_text("Few", exact=True).first.click()
-    assert "about 71 % relative uncertainty (all parameters)" in notes.inner_text()
+    reason = "all parameters: with 2 replicates the standard error has about 71 % relative uncertainty"
+    assert reason in notes.inner_text()
+    assert reason in page.page.locator("#detail").inner_text()
+    assert "?" not in notes.inner_text()
     assert marked.count() == 0
     page.check(path)
 

@@ -91,8 +91,11 @@ def test_bars_name_their_unreliable_errors_if_they_are_shown(monkeypatch: pytest
     # If all are, it is said once.
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
     figure = plot_bars(make(), top=5)
-    assert "? few (all parameters)" in all_text(figure)
-    assert not any("?" in label.get_text() for label in figure.axes[0].get_yticklabels())
+    assert "all parameters: few" in all_text(figure)
+    assert "?" not in all_text(figure)
+    both = all_text(plot_specificity([make(), make(method="Other")], top=5))
+    assert "all parameters: few" in both
+    assert "?" not in both
 
 
 def overstated(*rows: tuple[str, float, float], errors: float = 0.01) -> SceneAttribution:

@@ -424,7 +424,9 @@ def test_notes_say_which_of_their_parameters_have_no_row(
     assert f"?  few ({named})" in text
     assert f"!  size is off ({counted})" in text
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: dict.fromkeys(one, "few"))
-    assert "?  few (all parameters)" in table_text(make(), top=2)
+    text = table_text(make(), top=2)
+    assert "all parameters: few" in text
+    assert "?" not in text, "no row has the mark"
 
 
 def test_notes_name_rows_in_the_order_of_the_ranking(monkeypatch: pytest.MonkeyPatch) -> None:

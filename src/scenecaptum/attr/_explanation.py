@@ -9,10 +9,11 @@ from typing import Any
 
 import torch
 
-from ..estimation import student_t
+from ..estimation import TOO_NOISY, student_t
 from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
+from ..student import clear_from
 from ..visualization import (
     axis_label,
     caution_groups,
@@ -205,10 +206,10 @@ class Explanation:
         if one is not None:
             few = ": choose a finer spacing" if points is not None and points < FEW_POINTS else ""
             steps = f" (in steps of {self._in_unit(self._plain(one))}, one point{few})"
-        return (
-            f"quote {self._in_unit(self.value())}, the value by the definition{steps}; the relaxed value "
-            f"{self._relaxed()} only serves the derivatives"
-        )
+        value, what = self._in_unit(self.value()), f"the value by the definition{steps}"
+        caution = (self.attribution.info.get("picture") or {}).get("caution") or ""
+        stated = f"{value} is {what}" if TOO_NOISY in caution else f"quote {value}, {what}"
+        return f"{stated}; the relaxed value {self._relaxed()} only serves the derivatives"
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""
@@ -233,10 +234,20 @@ class Explanation:
         return f" at {width}×{height} pixels"
 
     def _source_lines(self) -> list[str]:
-        stated = [source for source in self.sources if source.share > SIGNIFICANT * source.share_error]
+        """Return each source with a clear share, the uncertain ones with a larger share, and the rest.
+
+        None that is larger than one that is named is part of the rest.
+        """
+        clear = [source for source in self.sources if is_clear(source.share, source.share_error)]
+        if clear:
+            smallest = min(source.share for source in clear)
+            stated = [source for source in self.sources if source in clear or source.share > smallest]
+        else:
+            stated = list(self.sources[:MOST_NAMED])
         lines = [
             f"{source.name}, {source.place}: {percent(source.share, source.share_error)}"
             + ("" if source.luminance is None else f" of it, at {rounded(source.luminance)} cd/m²")
+            + ("" if source in clear else " (uncertain)")
             for source in stated
         ]
         rest = 1 - sum(source.share for source in stated)
@@ -273,28 +284,42 @@ class Explanation:
             f"{'' if _exceeds(row, allowed) else f' ({unsure})'}"
             for row in stated
         ]
+        above, below = self._larger_lines(unclear, abs(stated[0].effect))
         return [
-            *self._larger_lines(unclear, abs(stated[0].effect)),
+            *above,
             *lines,
+            *below,
             *(f"{mark} {reason}" for reason, mark in wrong.items()),
-            *(f"? {reason}" for reason in doubts),
+            *(
+                f"? {reason}" if whose in partial else f"all parameters: {reason}"
+                for reason, whose in doubts.items()
+            ),
             *(f"~ {note}" for note in notes),
             *unit_notes(self.attribution, stated),
         ]
 
-    def _larger_lines(self, unclear: Sequence[RankedParameter], largest: float) -> list[str]:
-        """Say which effects in the noise may exceed the largest that is stated."""
+    def _larger_lines(
+        self, unclear: Sequence[RankedParameter], largest: float
+    ) -> tuple[list[str], list[str]]:
+        """Say which effects in the noise may exceed the largest that is stated: above those, or below.
+
+        It stands above them if one is larger by its value, too, and that is the one that is named.
+        """
 
         def upper(row: RankedParameter) -> float:
             return abs(row.effect) + SIGNIFICANT * (row.effect_error or 0.0)
 
         larger = sorted((row for row in unclear if upper(row) > largest), key=upper, reverse=True)
         if not larger:
-            return []
-        first, *others = larger
+            return [], []
+        first = max(larger, key=lambda row: abs(row.effect))
+        is_largest = abs(first.effect) > largest
+        first, *others = [first, *(row for row in larger if row is not first)] if is_largest else larger
         more = f" and {pluralize(len(others), 'other')}" if others else ""
         named = f"{in_words(first.label)} ({self._number(first)}){more}"
-        return [f"the largest effect is uncertain: {named} may exceed those below"]
+        if is_largest:
+            return [f"the largest effect is uncertain: {named} may exceed those below"], []
+        return [], [f"also uncertain: {named} may exceed those above"]
 
     def _change_lines(self) -> list[str]:
         return [self._change_line(change) for change in self.changes if change.is_clear]
@@ -452,9 +477,19 @@ class Explanation:
         hiding = [
             row for row in unclear if max(abs(row.effect), SIGNIFICANT * (row.effect_error or 0.0)) > smallest
         ]
-        if not hiding:
-            return lines
-        return [*lines, self._hiding_line(hiding, smallest)]
+        if hiding:
+            lines.append(self._hiding_line(hiding, smallest))
+        return [*lines, *self._unranked_lines([row for row in unclear if row not in hiding], len(clear))]
+
+    def _unranked_lines(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
+        """Name the effects that are not stated although their signs are clear in the table."""
+        errors = clear_from(self.attribution.info)
+        seen = [in_words(row.label) + f" ({self._number(row)})" for row in rows if _exceeds(row, errors)]
+        if not seen or count >= self.count:
+            return []
+        clear = "clear in sign" if self.attribution.kind.has_sign else "above the noise"
+        more = f" and {pluralize(len(seen) - MOST_NAMED, 'other')}" if len(seen) > MOST_NAMED else ""
+        return [f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"]
 
     def _unranked_line(self, count: int) -> str:
         """Say that no effect stands out among all of them, and which changes are clear, as rendered."""

@@ -15,9 +15,9 @@ from ..visualization import (
     DEFAULT_TOP,
     align_decimals,
     align_with_errors,
-    doubt_notes,
     grid,
     group_by_text,
+    marked_doubts,
     pluralize,
     rounded,
     shorten,
@@ -98,10 +98,7 @@ class MeanEffects:
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
         notes = [f"Mean and standard deviation of the effects in {self.count} results"]
         all_labels = {row.name: row.label for row in self.rows}
-        notes += [
-            f"?  {doubt}"
-            for doubt in doubt_notes(doubts, all_labels, [row.name for row in rows], len(self.rows))
-        ]
+        notes += marked_doubts(doubts, all_labels, [row.name for row in rows], len(self.rows), "?  ")
         return "\n".join([*grid([*columns], list(zip(*columns.values(), strict=True))), *more, "", *notes])
 
     def __str__(self) -> str:

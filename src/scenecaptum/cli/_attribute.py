@@ -36,10 +36,8 @@ REPORT = "report.html"
 
 DENOISE: dict[str, Denoise] = {"auto": "auto", "on": True, "off": False}
 WIDTH = 100  # of sentences, without a terminal
-BY_EXPLANATION = (
-    "this rating is relaxed near the threshold; the value by the definition, with its error, is that of an "
-    "explanation"
-)
+RELAXED = "this rating is relaxed near the threshold; the value by the definition has no error bar here"
+EXPLAIN = "`scenecaptum explain` states the value by the definition with its error bar"
 
 
 def add(commands: Any) -> None:
@@ -270,6 +268,7 @@ def _write_result(
     print(table_text(attribution, scale=options.scale, complete=_complete_table(formats)))
     width = terminal_width() or WIDTH
     notes = [] if said is None else said.value_notes()
+    notes += [EXPLAIN] if RELAXED in notes else []
     print("".join(f"\n{wrap(line, width)}" for line in [*notes, *premises(metric, options)]))
     print_files(folder, formats)
 
@@ -293,7 +292,7 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     shown = rated_image(attribution, renderer)
     notes = photometric_premises(metric, image, attribution.metric_value, shown, renderer)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
-        notes += (BY_EXPLANATION,)
+        notes += (RELAXED,)
     if not notes and definition is None:
         return None
     return Explanation(attribution, premises=(*notes, *more), count=0, definition=definition)

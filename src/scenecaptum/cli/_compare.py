@@ -69,6 +69,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--titles", nargs=2, metavar=("A", "B"), help="names of the two in the output")
     _arguments.add_title(parser)
     _arguments.add_output(parser)
+    parser.needless = {"--report": f"compare always writes its page, {REPORT} in the output folder."}
     parser.set_defaults(run=run)
 
 

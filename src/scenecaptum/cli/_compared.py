@@ -41,9 +41,10 @@ SETTINGS = {"resolution": "resolution", "sensor": "camera", "max_depth": "max de
 ROWS = 10
 WIDTH = 100  # of sentences, without a terminal
 SAVED = (
-    "Both values are relaxed near the threshold, which only serves the derivatives. Values by the definition are "
-    "not compared: compare the scenes to get their change."
+    "Both values are relaxed near the threshold, which only serves the derivatives. The change by the definition "
+    "was not computed."
 )
+COMPARE_SCENES = "Compare the scenes, not saved results, to get the change by the definition."
 RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
 OPPOSITE = "caution: the direction of this change depends on the threshold"
 
@@ -160,6 +161,7 @@ def lines(found: Compared) -> list[str]:
         *(line for text in _value_lines(found) for line in wrapped_lines(text, _width(), indent=4)),
         f"change: {signed_with_error(*(found.by_definition or (found.change, found.error)))}{suffix}",
         *(line for note in found.notes() for line in _note(note)),
+        *(_note(COMPARE_SCENES) if SAVED in found.notes() else []),
         *(line for text in found.premises() for line in wrapped_lines(text, _width(), indent=4)),
     ]
     moved = [

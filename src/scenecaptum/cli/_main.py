@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -101,13 +101,19 @@ def _kept(options: argparse.Namespace, started: float) -> str:
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Reports a misspelt option with the usage of its command; argparse shows that of the whole program."""
+    """Reports a misspelt option with the usage of its command; argparse shows that of the whole program.
+
+    ``needless`` says of options of other commands why this one does not have them.
+    """
+
+    needless: Mapping[str, str] = {}
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         options, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            near = near_misses(unknown[0], self._option_string_actions)
-            self.error(f"unrecognized arguments: {' '.join(unknown)}.{near}")
+            hint = next((self.needless[one] for one in unknown if one in self.needless), "")
+            hint = f" {hint}" if hint else near_misses(unknown[0], self._option_string_actions)
+            self.error(f"unrecognized arguments: {' '.join(unknown)}.{hint}")
         return options, unknown
 
 

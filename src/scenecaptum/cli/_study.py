@@ -12,6 +12,7 @@ from typing import Any
 
 from ..errors import SceneCaptumError
 from ..studies import Study, StudyResult
+from ._attribute import EXPLAIN
 from ._files import OutputFormat, print_files, write_files
 
 FORMATS = [
@@ -96,6 +97,8 @@ def run(options: argparse.Namespace) -> int:
         print(json.dumps(_numbers(result), indent=1, ensure_ascii=False))
     else:
         print(result)
+        if any("relaxed" in (result.numbers(cell)["measure"] or "") for cell in result.cells):
+            print(EXPLAIN)
         print_files(options.out, FORMATS)
         print(
             f"{options.out / 'study.json'}  what the study is; a file for each cell is in {options.out / 'cells'}"

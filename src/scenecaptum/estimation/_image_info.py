@@ -15,6 +15,8 @@ from ._metric import TargetedMetric
 from ._metric_image import ImageTransform
 
 ROUNDING = 1e-6
+TOO_NOISY = "is too noisy for"
+THIS_METRIC = "this metric"
 _FLOOR = 0.01  # of the mean brightness: the relative noise of darker pixels does not count
 
 
@@ -75,7 +77,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     if not noisy and metric is not None:
         noisy = _above_tolerance(noise, transform, metric.tolerated_noise)
     if noisy:
-        noisy = f"the {'picture' if shows_a_view else 'result'} is too noisy for this metric: {noisy}"
+        noisy = f"the {'picture' if shows_a_view else 'result'} {TOO_NOISY} {THIS_METRIC}: {noisy}"
     if noisy and compares:
         noisy += "; the effects are biased, too, and their errors do not include it"
     return {

@@ -15,6 +15,8 @@ from ..denoising import guides_of
 from ..errors import whole_number
 from ..estimation import (
     DEFAULT_REPLICATES,
+    THIS_METRIC,
+    TOO_NOISY,
     Denoise,
     Metric,
     Stream,
@@ -140,6 +142,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     definition = (
         definition_of(scenes.metric, scenes.images) if states_definition(scenes.metric, picture) else None
     )
+    if definition is not None:
+        attribution = _with_caution_of_relaxed(attribution)
     # What the notes are of, a plan draws and the rows count is what the quoted value is of.
     assert attribution.image is not None, "every attribution of a gradient method has its image"
     value, of_value, other = attribution.metric_value, attribution.image, picture
@@ -160,6 +164,17 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         changes=tuple(rendered(scenes, change, definition) for change in proposed),
         goal=goal,
         picture=of_value,
+    )
+
+
+def _with_caution_of_relaxed(attribution: SceneAttribution) -> SceneAttribution:
+    """Say that a caution on noise is on the relaxed value, where the value by the definition stands beside it."""
+    picture = attribution.info["picture"]
+    if TOO_NOISY not in (picture["caution"] or ""):
+        return attribution
+    caution = picture["caution"].replace(f"{TOO_NOISY} {THIS_METRIC}", f"{TOO_NOISY} the relaxed value")
+    return dataclasses.replace(
+        attribution, info={**attribution.info, "picture": {**picture, "caution": caution}}
     )
 
 

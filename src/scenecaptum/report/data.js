@@ -15,8 +15,16 @@ function make(tag, attributes = {}, ...children) {
   return made;
 }
 
-/** Let a long name break after its dots and underscores, where it says something whole. */
-const breakable = (text) => text.split(/(?<=[_.:/])|(?<=[a-z])(?=[A-Z])/).flatMap((part, index) => (index ? [make("wbr"), part] : [part]));
+// After a dot or an underscore, and before a capital; never within a number.
+const BREAKS = /(?<=[_:/]|(?<!\d)\.|\.(?!\d))|(?<=[a-z])(?=[A-Z])/;
+
+/** Let a long name break where it says something whole, if it does not fit on a line. */
+function breakable(text) {
+  return text.split(/(\s+)/).map((word) => {
+    const parts = word.split(BREAKS);
+    return parts.length < 2 ? word : make("span", { class: "word" }, ...parts.flatMap((part, index) => (index ? [make("wbr"), part] : [part])));
+  });
+}
 
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 

@@ -76,7 +76,7 @@ function cardOf(results, current, index) {
     make("h3", {}, ...breakable(row.label), ...markOf(row, result)), make("p", { class: "path" }, row.name),
     make("dl", {}, ...facts.filter(([, value]) => value).flatMap(([name, value]) => [make("dt", {}, ...[name].flat()), make("dd", {}, value)])),
     row.caution === null ? null : make("p", { class: "warning" }, `${cautionMark(row.caution, result)} ${result.cautions[row.caution]}`),
-    row.doubt === null ? null : make("p", { class: "warning" }, `? ${result.doubts[row.doubt]}`),
+    row.doubt === null ? null : make("p", { class: "warning" }, `${isShared(row.doubt, result) ? "all parameters:" : "?"} ${result.doubts[row.doubt]}`),
     ...row.rangeNotes.map((note) => make("p", { class: "warning" }, `~ ${result.rangeNotes[note]}`)));
 }
 

@@ -148,9 +148,9 @@ function drawNotes(result) {
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);
   }));
   notes.push(...result.doubts.map((text, index) => {
+    if (isShared(index, result)) return make("p", {}, `all parameters: ${text}`); // No row has a mark.
     const labels = result.rows.filter((row) => row.doubt === index).map((row) => row.label);
-    const whose = isShared(index, result) ? "all parameters" : firstFew(labels);
-    return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${whose})`);
+    return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${firstFew(labels)})`);
   }));
   notes.push(...cautioned(result.sceneCautions));
   notes.push(...result.rangeNotes.map((text) => make("p", {}, make("span", { class: "mark" }, "~"), ` ${text}`)));

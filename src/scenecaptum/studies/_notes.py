@@ -26,14 +26,9 @@ from ..visualization import convergence_notes, pluralize
 from ._cell_effects import CellResults
 from ._recipe import Cell
 
-RELAXED = (
-    "this rating is relaxed near the threshold, and has no class here; the value by the definition, with its "
-    "error, is that of an explanation"
-)
-RELAXED_DAYLIGHT = (
-    "this value is relaxed, and has no class here; the value by the definition, with its error, is that of an "
-    "explanation"
-)
+NOT_COMPUTED = "the value by the definition was not computed"
+RELAXED = f"this rating is relaxed near the threshold, and has no class; {NOT_COMPUTED}"
+RELAXED_DAYLIGHT = f"this value is relaxed, and has no class; {NOT_COMPUTED}"
 IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
 CAUTION = "caution: "

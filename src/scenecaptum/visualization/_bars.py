@@ -35,7 +35,7 @@ from ._notes import (
     baseline_notes,
     caution_groups,
     convergence_notes,
-    doubt_notes,
+    marked_doubts,
     sampling_notes,
     scene_cautions,
     unit_notes,
@@ -196,10 +196,10 @@ def bar_notes(
 
 
 def bar_doubts(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[str]:
-    """Return the reasons for which error bars of these rows are unreliable."""
+    """Return the notes on error bars of these rows that are unreliable."""
     shown = [row.name for row in rows]
     doubts = {why: names for why, names in untrusted_groups(attribution).items() if {*shown} & {*names}}
-    return doubt_notes(doubts, attribution.labels, shown, len(attribution))
+    return marked_doubts(doubts, attribution.labels, shown, len(attribution), "? ")
 
 
 def _doubted(attribution: Attribution) -> set[str]:
@@ -225,7 +225,7 @@ def _footnotes(
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
         "" if any(row.saliency for row in rows) else "all effects are 0",
         f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",
-        *(f"? {doubt}" for doubt in bar_doubts(attribution, rows)),
+        *bar_doubts(attribution, rows),
     ]
     lines = [*pack([note for note in notes if note], width), *baseline_notes(attribution)]
     for text, names in cautions.items():

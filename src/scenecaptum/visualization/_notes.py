@@ -212,7 +212,7 @@ def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
 def doubt_notes(
     doubts: Mapping[str, Sequence[str]], labels: Mapping[str, str], shown: Sequence[str], count: int
 ) -> list[str]:
-    """Return what the mark ``?`` means: each reason, with the first of the rows that it is about of ``count``.
+    """Return what a mark means: each reason, with the first of the rows that it is about of ``count``.
 
     ``shown`` are those that have a row, in their order; others follow.
     """
@@ -223,3 +223,18 @@ def doubt_notes(
         whose = ", ".join(filter(None, [named, hidden_of(names, shown)]))
         notes.append(f"{reason} ({'all parameters' if len(names) == count else whose})")
     return notes
+
+
+def marked_doubts(
+    doubts: Mapping[str, Sequence[str]],
+    labels: Mapping[str, str],
+    shown: Sequence[str],
+    count: int,
+    mark: str,
+) -> list[str]:
+    """Return the notes on doubts with their mark, which no row has if a doubt is of all."""
+    notes = zip(doubts.items(), doubt_notes(doubts, labels, shown, count), strict=True)
+    return [
+        f"all parameters: {reason}" if len(names) == count else f"{mark}{note}"
+        for (reason, names), note in notes
+    ]

@@ -126,7 +126,7 @@ def _footnotes(
     notes = _notes_of_results(attributions)
     notes += [f"! {note}" for one, ranked in pairs for note in _cautions(one, ranked)]
     notes += [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
-    notes += [f"? {doubt}" for one, ranked in pairs for doubt in bar_doubts(one, ranked)]
+    notes += [doubt for one, ranked in pairs for doubt in bar_doubts(one, ranked)]
     return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
 
 

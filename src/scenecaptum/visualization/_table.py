@@ -17,9 +17,9 @@ from ._notes import (
     caution_groups,
     caution_marks,
     convergence_notes,
-    doubt_notes,
     group_notes,
     jump_notes,
+    marked_doubts,
     sampling_notes,
     scene_cautions,
     unit_notes,
@@ -191,8 +191,8 @@ def _table(
         )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")
-    doubts = doubt_notes(untrusted, attribution.labels, [row.name for row in shown], len(attribution))
-    notes += [f"?  {doubt}" for doubt in doubts]
+    names_shown = [row.name for row in shown]
+    notes += marked_doubts(untrusted, attribution.labels, names_shown, len(attribution), "?  ")
     notes += jump_notes(attribution)
     for text, names in of_range.items():
         hidden = hidden_of(names, with_rows)
