@@ -83,7 +83,8 @@ def test_a_mapping_says_what_the_other_inputs_are_compared_with(cornell):
         ),
         (
             {f"{name}.*": 0.5 for name in SURFACES},
-            "".join(f"{name}.* 0.5; " for name in SURFACES[:6]) + f"1 more at the given values; {DEFAULTS}",
+            "".join(f"{name}.* 0.5; " for name in SURFACES[:6])
+            + f'and 1 more changed (see info["baselines"]); {DEFAULTS}',
         ),
     ],
     ids=str,

@@ -196,6 +196,27 @@ def test_the_caution_says_that_differences_of_values_are_biased_too(view):
     assert biased not in gradients.info["picture"]["caution"]
 
 
+@pytest.mark.parametrize(
+    ("drift", "denoised", "compares", "said"),
+    [
+        ((0.008, 0.001), None, False, None),  # in the error of the value, and below a percent of it
+        ((0.008, 0.001), None, True, "1.792 at 64 spp, 1.784 at 128 spp: use at least 16 times the samples"),
+        ((0.05, 0.012), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use at least 3 times the samples"),
+        ((0.05, 0.005), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use at least 3 times the samples"),
+        ((0.05, 0.02), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use at least 2 times the samples"),
+        ((0.05, 0.03), None, False, None),
+        ((0.0, 0.001), 1.79, False, None),
+        ((0.0, 0.001), 1.9, False, "1.784 as rendered, 1.9 denoised"),
+    ],
+)
+def test_a_difference_below_a_percent_of_the_value_needs_no_caution(drift, denoised, compares, said):
+    found = describe_picture(ImageTransform(), 1.784, drift, 128, denoised, compares=compares)["caution"]
+    if said is None:
+        assert found is None
+    else:
+        assert found.removeprefix("the picture is too noisy for this metric: ").partition(";")[0] == said
+
+
 def test_the_caution_is_printed_and_saved(tmp_path):
     found = VanillaSceneGradient(Fireflies(), glare()).attribute(seed=shifted(0), denoise=False)
     caution = found.info["picture"]["caution"]

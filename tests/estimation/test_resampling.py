@@ -6,7 +6,13 @@ import pytest
 import torch
 from seeds import shifted
 
-from scenecaptum.estimation import half_sample_error, mean_and_error
+from scenecaptum.estimation import (
+    corrected_and_error,
+    half_sample_error,
+    half_samples,
+    mean_and_error,
+    pseudo_values,
+)
 
 RUNS = 200
 
@@ -45,3 +51,22 @@ def test_of_a_share_of_points_it_is_the_spread_between_runs_and_no_less(shared: 
     ]
     error = (sum(squares) / RUNS) ** 0.5
     assert 0.85 < error / values.std().item() < 1.4
+
+
+@pytest.mark.parametrize("count", [2, 5, 8])
+def test_the_bias_of_a_square_is_removed_as_by_the_jackknife(count: int):
+    samples = torch.randn(RUNS, count, generator=torch.Generator().manual_seed(shifted())).double() + 1
+
+    def square(kept: torch.Tensor, one: torch.Tensor) -> torch.Tensor:
+        return one[kept].mean().square()
+
+    of_halves, of_jackknife = [], []
+    for one in samples:
+        values = half_samples(lambda kept, one=one: square(kept, one).item(), count)
+        corrected, error = corrected_and_error(values, count)
+        of_halves.append(corrected)
+        assert error == half_sample_error(lambda kept, one=one: square(kept, one).item(), count)
+        of_jackknife.append(pseudo_values(lambda kept, one=one: square(kept, one), count).mean().item())
+    biased = samples.mean(1).square().mean().item()
+    unbiased = sum(of_jackknife) / RUNS
+    assert sum(of_halves) / RUNS == pytest.approx(unbiased, abs=0.1 * (biased - unbiased))

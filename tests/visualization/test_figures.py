@@ -328,6 +328,19 @@ def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
     assert middle.min() > 0.95
     # The map has 256 colours, and the nearest to a sixth is not exactly there.
     np.testing.assert_allclose([low, high], [to_rgb(LOWERS), to_rgb(RAISES)], atol=0.02)
+
+
+def test_signed_maps_say_which_errors_are_unreliable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: {"rough": "few", "lamp": "none"})
+    for plot in (plot_heatmap, plot_overlay):
+        figure = plot(sized(9, 16, make()), signed=True)
+        assert "? few (desk: roughness)" in all_text(figure)
+        assert "? none (lamp)" in all_text(figure)
+        assert outside(figure) == []
+        assert "? few" not in all_text(plot(make())), "magnitudes have no colour for what the noise hides"
+        one = all_text(plot(make(), signed=True, parameter="rough"))
+        assert "? few (desk: roughness)" in one
+        assert "? none" not in one
     assert "blue raises the metric, orange lowers it" in all_text(figure)
 
 
@@ -653,6 +666,22 @@ def test_specificity_has_the_cautions_of_its_columns() -> None:
     assert "column 2: caution: the picture" in text_of(make(), make(picture=caution))
     assert "column 1, column 3: caution: the picture" in text_of(fine, make(), fine)
     assert "standard error" not in text_of(make(barred=False), make(barred=False))
+
+
+def test_specificity_says_of_each_column_what_its_gradient_is_and_which_errors_are_unreliable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rough = make(metric="Logit", gradient_note="effects of a rough gradient", advice="smooth it")
+    rough = dataclasses.replace(rough, covariance={n: 100 * v for n, v in rough.covariance.items()})
+    few = {"Glare": {"lamp": "few samples"}, "Logit": {"lamp": "few samples", "floor": "none"}}
+    monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda one: few[one.info["metric"]])
+    text = " ".join(all_text(plot_specificity([make(), rough], top=5)).split())
+    assert "Logit: effects of a rough gradient" in text
+    assert "Logit: the errors are large: smooth it" in text
+    assert "Glare: " not in text
+    assert text.count("? few samples (lamp)") == 1, "of both"
+    assert "Logit: ? none (floor)" in text
+    assert "? none (floor)" in " ".join(all_text(plot_specificity([rough], top=5)).split())
 
 
 def test_specificity_says_which_derivatives_are_known_to_be_wrong() -> None:

@@ -81,7 +81,7 @@ def _of_mapping(
             moved.append(f"{labels.get(key, key)} {_written(torch.as_tensor(given, dtype=torch.float32))}")
     parts = moved[:_MAX_NAMED]
     if len(moved) > _MAX_NAMED:
-        parts.append(f"{len(moved) - _MAX_NAMED} more at the given values")
+        parts.append(f'and {len(moved) - _MAX_NAMED} more changed (see info["baselines"])')
     others = "all other inputs" if moved or kept else "all inputs"
     if changed - named:
         parts += [f"{name} unchanged" for name in kept[:_MAX_NAMED]]

@@ -17,6 +17,7 @@ from ._metric_image import ImageTransform
 ROUNDING = 1e-6
 TOO_NOISY = "is too noisy for"
 THIS_METRIC = "this metric"
+_NEGLIGIBLE = 0.01  # of the value: a bias that needs no caution
 _FLOOR = 0.01  # of the mean brightness: the relative noise of darker pixels does not count
 
 
@@ -73,7 +74,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
     if metric is not None and image is not None:
         own = metric.caution_of(image)
-    noisy = _differs(value, drift, spp, denoised) or _too_wide(interval, measure)
+    noisy = _differs(value, drift, spp, denoised, compares=compares) or _too_wide(interval, measure)
     if not noisy and metric is not None:
         noisy = _above_tolerance(noise, transform, metric.tolerated_noise)
     if noisy:
@@ -91,16 +92,30 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
 
 
 def _differs(
-    value: float, drift: tuple[float, float] | None, spp: int | None, denoised: float | None
+    value: float,
+    drift: tuple[float, float] | None,
+    spp: int | None,
+    denoised: float | None,
+    *,
+    compares: bool,
 ) -> str | None:
-    """Return the values if the metric differs significantly at half of the samples, or after denoising."""
+    """Return the values if the metric differs significantly at half of the samples, or after denoising.
+
+    The error of the value contains the difference. So it needs no caution if it is less than a percent of the
+    value, unless the method ``compares`` values: of their differences it may be a large part.
+    """
     if drift is None:
         return None
     change, error = drift
-    limit = max(SIGNIFICANT_DRIFT * error, ROUNDING * abs(value))
+    noise = max(SIGNIFICANT_DRIFT * error, ROUNDING * abs(value))
+    limit = noise if compares else max(noise, _NEGLIGIBLE * abs(value))
     if abs(change) > limit:
         half, full = ("half of the samples", "all") if spp is None else (f"{spp / 2:g} spp", f"{spp} spp")
-        return f"{rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}"
+        # The bias falls with the number of samples, the noise with its square root.
+        factors = [(change / noise) ** 2] if noise else []
+        factors += [] if compares or not value else [abs(change) / (_NEGLIGIBLE * abs(value))]
+        advice = f": use at least {math.ceil(min(factors))} times the samples" if factors else ""
+        return f"{rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}{advice}"
     if denoised is not None and abs(denoised - value) > limit:
         return f"{rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised"
     return None

@@ -71,12 +71,49 @@ def half_sample_error(statistic: Callable[[torch.Tensor], float], count: int) ->
     ----------
     McCarthy, "Pseudo-replication: half samples", Review of the International Statistical Institute 37(3), 1969.
     """
-    if count < 2:
-        return None
-    of_all = statistic(torch.arange(count))
+    return None if count < 2 else _half_sample_error(half_samples(statistic, count), count)
+
+
+def half_samples(statistic: Callable[[torch.Tensor], float], count: int) -> torch.Tensor:
+    """Return a statistic of at least 2 samples, given by their indices, then that of each half of balanced splits.
+
+    What is linear in several statistics, such as a slope from two differences, is computed element by element.
+    """
+    halves = [kept for split in balanced_halves(count) for kept in split]
+    return torch.tensor([statistic(kept) for kept in (torch.arange(count), *halves)], dtype=torch.float64)
+
+
+def corrected_and_error(values: torch.Tensor, count: int) -> tuple[float, float]:
+    """Return a statistic without its bias of order ``1/n``, and its standard error, of its ``half_samples``.
+
+    A half has twice the bias of all samples, so their difference is removed once. The delete-one jackknife removes
+    ``n − 1`` times a smaller difference. Where a statistic jumps, as a percentile of a denoised picture does, it
+    multiplies a jump, or misses it and states an error of nearly 0.
+
+    Example
+    -------
+    >>> samples = torch.tensor([1.0, 2.0, 4.0, 5.0])
+    >>> square, error = corrected_and_error(half_samples(lambda kept: samples[kept].mean() ** 2, 4), 4)
+    >>> round(square, 4)  # 3² − 0.9129²
+    8.1667
+
+    References
+    ----------
+    Quenouille, "Approximate tests of correlation in time-series", Journal of the Royal Statistical Society B 11,
+    1949.
+    """
+    drift = (_half_weights(count) * (values[1:] - values[0])).sum()
+    return (values[0] - drift).item(), _half_sample_error(values, count)
+
+
+def _half_sample_error(values: torch.Tensor, count: int) -> float:
+    return (_half_weights(count) * (values[1:] - values[0]).square()).sum().sqrt().item()
+
+
+def _half_weights(count: int) -> torch.Tensor:
+    """Return the share of each half in its split, divided by the number of splits."""
     splits = balanced_halves(count)
-    squares = [len(kept) / count * (statistic(kept) - of_all) ** 2 for halves in splits for kept in halves]
-    return math.sqrt(sum(squares) / len(splits))
+    return torch.tensor([len(kept) for split in splits for kept in split]).double() / (count * len(splits))
 
 
 def balanced_halves(count: int) -> list[tuple[torch.Tensor, torch.Tensor]]:

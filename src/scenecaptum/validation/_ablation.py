@@ -14,7 +14,7 @@ from tqdm import tqdm
 from ..attr import SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
-from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, mean_and_error, student_t
+from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, corrected_and_error, student_t
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau_of_pairs
 from ..visualization import (
@@ -195,15 +195,17 @@ def _ablate(
         start, end = offered.ranges[row.name]
         chosen = _Step(unit_gradient(gradient, value).expand_as(value), (start - end) / 2)
 
+    count = len(scenes.seeds)
+
     def slope(length: float) -> torch.Tensor:
-        change = scenes.measure({row.name: value + length * chosen.direction}) - scenes.unmodified
-        return change / (length * chosen.share)
+        changes = scenes.half_differences({row.name: value + length * chosen.direction})
+        return changes / (length * chosen.share)
 
     step = chosen.length
     for _ in range(MAX_STEP_REDUCTIONS):
         half, full = slope(step / 2), slope(step)
-        measured, error = mean_and_error(2 * half - full)
-        second_order, second_order_error = mean_and_error(2 * (full - half))
+        measured, error = corrected_and_error(2 * half - full, count)
+        second_order, second_order_error = corrected_and_error(2 * (full - half), count)
         # A shorter step would only amplify a second-order term that is within the noise.
         if abs(second_order) - 2 * second_order_error <= MAX_NONLINEARITY * abs(measured):
             break
@@ -214,7 +216,7 @@ def _ablate(
         fixed_step = 0.0  # beyond what a pose is judged by
     if predicted * fixed_step < ROUNDING * abs(scenes.unmodified.mean().item()):
         fixed_step = 0.0  # too short for single precision
-    fixed, fixed_error = mean_and_error(slope(-fixed_step)) if fixed_step > 0 else (None, None)
+    fixed, fixed_error = corrected_and_error(slope(-fixed_step), count) if fixed_step > 0 else (None, None)
     return Ablated(
         name=row.name,
         label=row.label,
@@ -224,7 +226,7 @@ def _ablate(
         measured_error=error,
         step=step,
         curvature=2 * second_order / step,
-        degrees_of_freedom=len(scenes.seeds) - 1,
+        degrees_of_freedom=count - 1,
         fixed=fixed,
         fixed_error=fixed_error,
     )

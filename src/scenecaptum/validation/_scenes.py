@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 
@@ -20,6 +20,7 @@ from ..estimation import (
     channel_totals,
     derived_seeds,
     half_sample_error,
+    half_samples,
     input_values,
     pseudo_values,
     require_memory,
@@ -85,14 +86,22 @@ class Scenes:
 
         The error is that of half samples, because a rating may jump.
         """
-        metric = at_values(self.metric, self.renderer, {**self.values, **changes})
-
-        def difference(kept: torch.Tensor) -> float:
-            return metric.value(images[kept].mean(0)) - self._unmodified_of(kept)
-
+        difference = self._difference(images, changes)
         error = half_sample_error(difference, len(images))
         assert error is not None, "there are at least 2 replicates"
         return difference(torch.arange(len(images))), error
+
+    def half_differences(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """Return by how much changes raise the metric, as ``half_samples`` of the replicates."""
+        images = self.render(changes)
+        return half_samples(self._difference(images, changes), len(images))
+
+    def _difference(
+        self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]
+    ) -> Callable[[torch.Tensor], float]:
+        """Return by how much changes raise the metric, as a function of the indices of the pictures."""
+        metric = at_values(self.metric, self.renderer, {**self.values, **changes})
+        return lambda kept: metric.value(images[kept].mean(0)) - self._unmodified_of(kept)
 
     def _unmodified_of(self, kept: torch.Tensor) -> float:
         """Return the metric of the mean of some pictures of the unmodified scene, the same for all changes."""

@@ -20,6 +20,7 @@ from ..projection import (
 from ..protocols import Attribution, Scale
 from ..student import clear_from
 from ._arrows import arrows, draw_arrows
+from ._bars import bar_doubts
 from ._effect_notes import range_notes
 from ._figures import (
     LOWERS,
@@ -110,8 +111,7 @@ def plot_heatmap(
     if ax is None:
         denoised = denoised or _is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
-        unclear = _unclear_note(attribution, options, "white") if signed else ""
-        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, unclear)
+        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "white" if signed else None)
         left.imshow(render)
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
@@ -156,8 +156,7 @@ def plot_overlay(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
-        unclear = _unclear_note(attribution, options, "grey") if signed else ""
-        ax, bar = _panels(attribution, heat, 1, figsize, title, options, unclear)
+        ax, bar = _panels(attribution, heat, 1, figsize, title, options, "grey" if signed else None)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
@@ -304,9 +303,12 @@ def _panels(
     limits: tuple[float, float],
     heading: str,
     options: dict[str, Any],
-    unclear: str,
+    unclear: str | None,
 ) -> list[Axes]:
-    """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches."""
+    """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches.
+
+    ``unclear`` is the colour in which a signed map has the objects whose sign is lost in the noise.
+    """
     scale: Scale | None = options.get("scale")
     w = _width(None, heat, count, limits)
     h = w * heat.shape[0] / heat.shape[1]
@@ -315,7 +317,7 @@ def _panels(
     pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
     notes = [
         _invisible_note(attribution, scale),
-        unclear,
+        _unclear_note(attribution, options, unclear) if unclear else "",
         pointing,
         method_name(attribution),
         *noise_notes(attribution),
@@ -324,6 +326,7 @@ def _panels(
     packed = [
         *pack([note for note in notes if note], line_length),
         *(f"! {note}" for note in _caution_notes(attribution, _selected(options))),
+        *(_doubts(attribution, options) if unclear else []),
         *(f"~ {note}" for note in range_notes(attribution, scale)),
     ]
     caption = [line for note in packed for line in wrapped_lines(note, line_length)]
@@ -354,6 +357,13 @@ def _caution_notes(attribution: Attribution, selected: Sequence[str]) -> list[st
     """Return why derivatives that a map shows are known to be inaccurate, with the first of their parameters."""
     shown = selected or list(attribution)
     return doubt_notes(caution_groups(attribution, shown), attribution.labels, shown, len(attribution))
+
+
+def _doubts(attribution: Attribution, options: dict[str, Any]) -> list[str]:
+    """Return why error bars of what a map shows are unreliable, by which it judges signs."""
+    selected = _selected(options) or list(attribution)
+    rows = [row for row in attribution.ranking(scale=options.get("scale")) if row.name in selected]
+    return bar_doubts(attribution, rows)
 
 
 def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:

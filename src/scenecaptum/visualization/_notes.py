@@ -28,7 +28,7 @@ def sampling_notes(attribution: Attribution) -> list[str]:
     picture = attribution.info.get("picture") or {}
     if picture.get("denoised"):
         notes.append("denoised image" + ("" if picture.get("spp") is None else f" of {picture['spp']} spp"))
-    notes += noise_notes(attribution) + _gradient_notes(attribution) + _advice(attribution)
+    notes += noise_notes(attribution) + gradient_notes(attribution)
     if attribution.covariance is None:
         notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
     return notes
@@ -92,10 +92,11 @@ def jump_notes(attribution: Attribution) -> list[str]:
     return jumps + parts
 
 
-def _gradient_notes(attribution: Attribution) -> list[str]:
-    """Return what the metric says of its gradient, for a method that uses one."""
+def gradient_notes(attribution: Attribution) -> list[str]:
+    """Return what the metric says of its gradient, and advises against large errors of effects by it."""
     note = attribution.info.get("gradient_note")
-    return [str(note)] if note and attribution.kind not in OF_DIFFERENCES else []
+    notes = [str(note)] if note and attribution.kind not in OF_DIFFERENCES else []
+    return notes + _advice(attribution)
 
 
 def _advice(attribution: Attribution) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..errors import SceneCaptumError
@@ -24,7 +24,7 @@ from ._figures import (
 from ._finding import finding
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
-from ._notes import caution_groups, convergence_notes, doubt_notes, noise_notes
+from ._notes import caution_groups, convergence_notes, doubt_notes, gradient_notes, noise_notes
 from ._text import FINDING_WIDTH, axis_label, method_name, metric_name, with_unit_of_effects
 
 if TYPE_CHECKING:
@@ -126,7 +126,7 @@ def _footnotes(
     notes = _notes_of_results(attributions)
     notes += [f"! {note}" for one, ranked in pairs for note in _cautions(one, ranked)]
     notes += [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
-    notes += [doubt for one, ranked in pairs for doubt in bar_doubts(one, ranked)]
+    notes += _doubts(attributions, rows)
     return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
 
 
@@ -136,12 +136,24 @@ def _notes_of_results(attributions: Sequence[Attribution]) -> list[str]:
     for name, one in zip(_column_names(attributions), attributions, strict=True):
         bars = [] if one.covariance is None else ["error bars: ± 1 standard error"]
         adds_up = one.info.get("convergence") in (None, "adds up")
-        for note in [*bars, *noise_notes(one), *([] if adds_up else convergence_notes(one))]:
+        converges = [] if adds_up else convergence_notes(one)
+        for note in [*bars, *noise_notes(one), *gradient_notes(one), *converges]:
             columns.setdefault(note, []).append(name)
-    return [
-        note if len(names) == len(attributions) else f"{', '.join(names)}: {note}"
-        for note, names in columns.items()
-    ]
+    return _after_columns(columns, len(attributions))
+
+
+def _doubts(attributions: Sequence[Attribution], rows: Sequence[Sequence[RankedParameter]]) -> list[str]:
+    """Return what the mark ``?`` means; what not all columns share begins with its column."""
+    columns: dict[str, list[str]] = {}
+    for name, one, ranked in zip(_column_names(attributions), attributions, rows, strict=True):
+        for doubt in bar_doubts(one, ranked):
+            columns.setdefault(doubt, []).append(name)
+    return _after_columns(columns, len(attributions))
+
+
+def _after_columns(notes: Mapping[str, Sequence[str]], count: int) -> list[str]:
+    """Return notes, each after the names of its columns unless it is about all ``count`` of them."""
+    return [note if len(names) == count else f"{', '.join(names)}: {note}" for note, names in notes.items()]
 
 
 def _column_names(attributions: Sequence[Attribution]) -> list[str]:
