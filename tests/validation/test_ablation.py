@@ -160,6 +160,14 @@ def test_table_and_figure_show_what_agrees():
     assert {"predicted: the saliency", "measured: not as predicted", "noise"} < texts
 
 
+def test_a_test_of_nothing_is_drawn_with_its_verdict():
+    test = ablation_test(Curved(), lambda image: 0 * image.sum(), top=2)
+    assert not test.rows
+    assert not test.is_confirmed
+    assert "Nothing to test" in str(test)
+    assert "Nothing to test" in " ".join(all_text(test.plot()).split())
+
+
 def test_the_fixed_step_of_the_paper_is_measured_too():
     test = ablation_test(Curved(noise=0.0), torch.mean)
     rows = {row.name: row for row in test.rows}

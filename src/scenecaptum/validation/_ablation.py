@@ -352,7 +352,10 @@ class AblationTest:
         label = f"change of {self.metric} per unit of the parameter, along its gradient"
         lines = wrapped_lines(label, characters_per_line(0.67 * WIDTH, TEXT))
         style_axes(ax, x="\n".join(lines))
-        _draw(ax, self.rows)
+        if self.rows:
+            _draw(ax, self.rows)
+        else:
+            ax.set_xticks([])  # the verdict says why there is nothing to draw
         name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
         write_header(ax, "Ablation test", columns=2)
         add_footnotes(ax, wrapped_lines(self.verdict, _NOTE_WIDTH), below=34 + 13 * (len(lines) - 1))
