@@ -373,7 +373,17 @@ def test_validate_writes_its_figure_and_exits_with_the_verdict(tmp_path, capsys,
 def test_validate_without_anything_to_test_says_so_and_writes_its_files(tmp_path, capsys):
     out = tmp_path / "out"
     arguments = ["validate", "cornell-box", "--metric", "ugr", "--threshold-factor", "100000"]
-    arguments += ["--resolution", "8x8", "--spp", "16", "--inputs", "floor*", "--no-progress", "--out", str(out)]
+    arguments += [
+        "--resolution",
+        "8x8",
+        "--spp",
+        "16",
+        "--inputs",
+        "floor*",
+        "--no-progress",
+        "--out",
+        str(out),
+    ]
     assert cli.main(arguments) == 1
     assert "Nothing to test" in capsys.readouterr().out
     assert json.loads((out / "validation.json").read_text())["parameters"] == []
