@@ -116,7 +116,7 @@ def _setting(renderer: Adjustable, name: str, own: torch.Tensor, value: torch.Te
 def change_of_texture(
     renderer: Adjustable, name: str, before: torch.Tensor, after: torch.Tensor
 ) -> tuple[str, Any] | None:
-    """Return what changes all texels alike: a name with ``+`` or ``*``, and plain numbers; None if nothing does."""
+    """Return what changes all texels alike, a name with ``+`` or ``*`` and numbers; None if nothing does."""
     old, new = before.double(), after.double()
     offset = (new - old).mean(tuple(range(old.ndim - 1)))
     factor = (old * new).sum() / old.square().sum().clamp_min(torch.finfo(torch.float64).tiny)
