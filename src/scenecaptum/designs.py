@@ -92,8 +92,8 @@ def _matching(pattern: str, key: str, values: Mapping[str, Any], parameters: Map
 def settings_of(renderer: Adjustable, values: Mapping[str, torch.Tensor]) -> dict[str, Any]:
     """Return what ``design_of`` turns into these values: those that are not the scene's own, as plain numbers.
 
-    A texture that has moved as a whole is written as the change of each channel (``NAME+``), and any other with
-    all its texels.
+    A texture that has moved as a whole is written as the change of each channel (``NAME+``), one that is brighter
+    or darker as a whole as a factor (``NAME*``), and any other with all its texels.
 
     Example
     -------
@@ -110,11 +110,23 @@ def settings_of(renderer: Adjustable, values: Mapping[str, torch.Tensor]) -> dic
 def _setting(renderer: Adjustable, name: str, own: torch.Tensor, value: torch.Tensor) -> tuple[str, Any]:
     if value.ndim <= 1:
         return name, _plain(value)
-    offset = {f"{name}+": _plain((value.double() - own.double()).mean(tuple(range(value.ndim - 1))))}
-    # Bounds of a search are narrower than the physical ones, so what it has clamped is no offset.
-    if torch.allclose(design_of(renderer, offset)[name], value, rtol=1e-6, atol=1e-6):
-        return next(iter(offset.items()))
-    return name, _plain(value)
+    return change_of_texture(renderer, name, own, value) or (name, _plain(value))
+
+
+def change_of_texture(
+    renderer: Adjustable, name: str, before: torch.Tensor, after: torch.Tensor
+) -> tuple[str, Any] | None:
+    """Return what changes all texels alike, a name with ``+`` or ``*`` and numbers; None if nothing does."""
+    old, new = before.double(), after.double()
+    offset = (new - old).mean(tuple(range(old.ndim - 1)))
+    factor = (old * new).sum() / old.square().sum().clamp_min(torch.finfo(torch.float64).tiny)
+    for operator, change in (("+", offset), ("*", factor)):
+        changed = {name: CHANGES[operator](before, change.to(before))}
+        renderer.clamp_(changed)
+        # Bounds of a search are narrower than the physical ones, so what it has clamped is neither.
+        if torch.allclose(changed[name], after, rtol=1e-6, atol=1e-6):
+            return f"{name}{operator}", _plain(change)
+    return None
 
 
 def _plain(value: torch.Tensor) -> Any:

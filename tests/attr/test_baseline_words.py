@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 from results import all_text, make
+from seeds import shifted
 from toy import ToyRenderer
 
 from scenecaptum import (
@@ -22,6 +23,7 @@ from scenecaptum import (
 from scenecaptum.attr._baseline_words import describe_baselines
 from scenecaptum.attr._baselines import resolve_baselines
 from scenecaptum.report import write_report
+from scenecaptum.scene import BUNDLED
 from scenecaptum.visualization import plot_bars, table_html, table_text
 
 FLOOR, LIGHT = "floor.reflectance.value", "light.emitter.radiance.value"
@@ -125,6 +127,36 @@ def test_every_method_keeps_its_baselines_and_shows_a_given_one(method, tmp_path
     assert sentence in table_text(loaded)
     assert sentence in table_html(loaded)
     assert sentence in all_text(plot_bars(loaded))
+
+
+@pytest.mark.parametrize("method", [FeatureAblationScene, ShapleyValueScene, IntegratedGradientsScene])
+def test_inputs_that_the_default_baselines_leave_unchanged_are_named(mi, method):
+    scene = {**BUNDLED["cornell-box"](), "metal": {"type": "roughconductor", "alpha": 0.3}}
+    scene["short_box_shape"] = {**scene["short_box_shape"], "bsdf": {"type": "ref", "id": "metal"}}
+    inputs = ["short_box_shape.bsdf.alpha.value", "floor.reflectance.value"]
+    renderer = SceneRenderer(scene, inputs, resolution=(4, 4), spp=16, max_depth=3)
+    attribution = method(renderer, torch.mean).attribute(seed=shifted())
+    assert attribution.info["baselines"]["short_box_shape.bsdf.alpha.value"] == "unchanged"
+    defaults = "compared with: lights and reflectances 0, all other inputs unchanged"
+    note = f"{defaults} (1 input unchanged, so its 0 says nothing: {attribution.labels[inputs[0]]})"
+    for text in (table_text(attribution), all_text(plot_bars(attribution))):
+        assert note in " ".join(text.split())
+
+
+def test_groups_count_the_inputs_that_are_unchanged():
+    room = Room()
+    kept = {"x": room.inputs["x"], "y": 0.5, "map": 0.25}
+    groups = {"all of it": ["x", "y", "map"]}
+    attribution = FeatureAblationScene(room, torch.mean).attribute(baselines=kept, groups=groups, spp=16)
+    assert "y 0.5; map 0.25; all other inputs unchanged (1 input unchanged)" in table_text(attribution)
+
+
+def test_default_baselines_are_the_same_of_a_scene_with_an_input_at_0():
+    black = Room()
+    black.inputs["y"] = torch.tensor(0.0)
+    first, second = (FeatureAblationScene(room, torch.mean).attribute(spp=16) for room in (Room(), black))
+    assert second.info["compared_with"] == "0, all other inputs unchanged"
+    assert "different baselines" not in table_text(second - first)
 
 
 def test_several_baselines_are_named():

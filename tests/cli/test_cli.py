@@ -12,6 +12,7 @@ import torch
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
+from scenecaptum.cli import _validate
 from scenecaptum.cli._formats import FORMATS
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import import_metric
@@ -367,3 +368,36 @@ def test_validate_writes_its_figure_and_exits_with_the_verdict(tmp_path, capsys,
     assert cli.main([*arguments, "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["confirmed"] is False
     assert cli.main([*arguments, "--top", "0"]) == 2
+
+
+def test_validate_without_anything_to_test_says_so_and_writes_its_files(tmp_path, capsys):
+    out = tmp_path / "out"
+    arguments = ["validate", "cornell-box", "--metric", "ugr", "--threshold-factor", "100000"]
+    arguments += [
+        "--resolution",
+        "8x8",
+        "--spp",
+        "16",
+        "--inputs",
+        "floor*",
+        "--no-progress",
+        "--out",
+        str(out),
+    ]
+    assert cli.main(arguments) == 1
+    assert "Nothing to test" in capsys.readouterr().out
+    assert json.loads((out / "validation.json").read_text())["parameters"] == []
+    assert (out / "validation.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_validate_prints_its_table_before_it_writes_files(tmp_path, capsys, monkeypatch):
+    def fail(*_args: object, **_options: object) -> None:
+        raise SceneCaptumError("the disk is full")
+
+    monkeypatch.setattr(_validate, "write_files", fail)
+    arguments = ["validate", "cornell-box", "--metric", "luminance", "--resolution", "8x8", "--spp", "16"]
+    arguments += ["--inputs", "floor*", "--no-progress", "--out", str(tmp_path / "out")]
+    assert cli.main(arguments) == 2
+    printed = capsys.readouterr()
+    assert "measured slope" in printed.out
+    assert "the disk is full" in printed.err

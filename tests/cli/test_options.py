@@ -21,14 +21,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from bitmaps import read_bitmap
+from bitmaps import read_bitmap, write_bitmap
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, cli, metrics
 from scenecaptum.cli import _compared_effects, _demo, _explore, _main, _optimize
 from scenecaptum.cli._messages import in_options
 from scenecaptum.denoising import denoise
-from scenecaptum.designs import design_of, read_design
+from scenecaptum.designs import design_of, read_design, settings_of
 from scenecaptum.optimize import Optimization
 
 VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
@@ -503,14 +503,67 @@ def test_the_design_of_a_search_has_the_values_that_were_measured(
     assert cli.main(shlex.split(f"optimize {view} {goal} --out found")) == 1
     file = folder / "found" / "design.json"
     assert [*read_design(file)] == [f"{floor}{form}"]
-    assert json.loads(capsys.readouterr().out)["design"] == json.loads(file.read_text())
     renderer = SceneRenderer("office", floor, resolution=(16, 9), spp=16)
     (found,) = results
+    mean = found.values[floor].mean((0, 1))
+    in_file = {floor: {"file": "design.json", "mean": pytest.approx(mean.tolist())}}
+    printed = json.loads(capsys.readouterr().out)["design"]
+    assert printed == (json.loads(file.read_text()) if form else in_file)
     own, wanted = renderer.inputs[floor], found.values[floor]
     read = design_of(renderer, read_design(file))[floor]
     torch.testing.assert_close(read, wanted, rtol=1e-6, atol=2e-6)
     assert (wanted - own).mean() < -0.04
     assert ((wanted - own).std() > 1e-3) == (not form), "some texels are clamped"
+
+
+def sky_and_floor(folder: Path) -> Path:
+    """Write a scene of textures: an environment map, and a floor of which a texel is nearly white."""
+    generator = np.random.default_rng(0)
+    texels = generator.random((8, 16, 3), dtype=np.float32)
+    write_bitmap(folder / "sky.exr", texels + 0.1)
+    floor = 0.2 + 0.2 * texels[:, :8]
+    write_bitmap(folder / "even.exr", floor)
+    floor[0, 0] = 0.97
+    write_bitmap(folder / "white.exr", floor)
+    wall = """<shape type="rectangle" id="{0}"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">
+      <string name="filename" value="{0}.exr"/><boolean name="raw" value="true"/></texture></bsdf></shape>"""
+    (folder / "room.xml").write_text(
+        f"""<scene version="3.0.0"><sensor type="perspective"><transform name="to_world">
+        <lookat origin="0, 0, 3" target="0, 0, 0" up="0, 1, 0"/></transform></sensor>
+        <emitter type="envmap" id="sky"><string name="filename" value="sky.exr"/></emitter>
+        {wall.format("even")}{wall.format("white")}</scene>"""
+    )
+    return folder / "room.xml"
+
+
+def test_the_numbers_of_an_explanation_have_no_texels(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = "--inputs reflectance --inputs sky.data --resolution 8x8 --spp 16 --max-depth 3 --no-progress"
+    command = f"explain {sky_and_floor(folder)} --metric luminance {options} --changes 3 --json --out out"
+    assert cli.main(shlex.split(command)) == 0
+    printed = capsys.readouterr().out
+    assert len(printed) < 10_000
+    assert json.loads((folder / "out/explanation.json").read_text()) == json.loads(printed)
+    changes = {one["name"]: one for one in json.loads(printed)["changes"]}
+    assert changes["sky.data"]["setting"] == {"sky.data*": 1.25}
+    before, after = (changes["sky.data"][side] for side in ("before", "after"))
+    assert after == pytest.approx([1.25 * channel for channel in before], rel=1e-5)
+    even = changes["even.bsdf.reflectance.data"]
+    assert even["setting"] == {"even.bsdf.reflectance.data+": pytest.approx([0.1] * 3)}
+    assert even["after"] == pytest.approx([channel + 0.1 for channel in even["before"]], rel=1e-5)
+    # A texel that is nearly white cannot move as far.
+    white = changes["white.bsdf.reflectance.data"]
+    assert white["setting"] is None
+    assert len(white["before"]) == len(white["after"]) == 3
+
+
+def test_a_dimmed_map_is_written_as_a_factor(folder: Path) -> None:
+    renderer = SceneRenderer(sky_and_floor(folder), ["sky.data"], resolution=(8, 8))
+    dimmed = {"sky.data": 0.4 * renderer.inputs["sky.data"]}
+    written = settings_of(renderer, dimmed)
+    assert written == {"sky.data*": pytest.approx(0.4)}
+    torch.testing.assert_close(design_of(renderer, written), dimmed)
 
 
 def test_the_design_of_a_goal_has_the_values_that_the_search_began_with(folder: Path) -> None:

@@ -247,6 +247,15 @@ def test_of_many_effects_none_is_stated_because_one_is_beyond_two_errors_by_chan
     assert not stated(4.4, 20)
 
 
+def test_of_one_parameter_it_says_whether_it_matters_and_why_its_derivative_is_wrong():
+    noisy = of_range(wall=(torch.tensor(2e-3), torch.tensor(0.5)))
+    wrong = dataclasses.replace(noisy, info={**noisy.info, "cautions": {"wall": "biased here"}})
+    said = dict(Explanation(wrong).sections())["Too noisy to say"]
+    assert said[0].startswith("whether wall matters: its effect of")
+    assert said[1:] == ["! biased here"]
+    assert dict(Explanation(noisy).sections())["Too noisy to say"] == said[:1]
+
+
 def test_where_no_effect_can_be_ranked_the_changes_that_are_clear_as_rendered_are_named():
     noisy = of_range(**{f"wall_{index}": (torch.tensor(3e-3), torch.tensor(0.5)) for index in range(30)})
     unranked = "which of 30 parameters matter most: no effect is clear enough to rank"

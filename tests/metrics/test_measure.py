@@ -13,7 +13,7 @@ def test_luminance_is_in_candelas_unless_the_efficacy_is_one():
     assert metrics.MeanLuminance()(image).item() == pytest.approx(179.0)
     assert metrics.MeanLuminance().measure.unit == "cd/m²"
     assert metrics.MeanLuminance(efficacy=1.0)(image).item() == pytest.approx(1.0)
-    assert metrics.MeanLuminance(efficacy=1.0).measure.unit == "W/(sr m²)"
+    assert metrics.MeanLuminance(efficacy=1.0).measure.unit == "W/(m² sr)"
 
 
 OFFICE = "within 19, the limit for offices"

@@ -235,3 +235,7 @@ def test_wide_characters_count_twice(wide: int, monkeypatch: pytest.MonkeyPatch)
 def test_columns_of_text() -> None:
     assert [columns(text) for text in ("", "desk", "机", "e\u0301", "ﾗ", "Ａ")] == [0, 4, 2, 1, 1, 2]
     assert shorten(["机の上のランプの傘"], 8) == ["机の…傘"]
+
+
+def test_bounds_have_a_minus_sign():
+    assert [str(Bounds(-1.0, open_low=True)), str(Bounds(-0.5, 1.0))] == ["(−1, ∞)", "[−0.5, 1]"]

@@ -157,6 +157,8 @@ def test_other_attributions_are_refused():
     bare = VanillaSceneGradient(renderer, torch.mean).attribute(replicates=1)
     with pytest.raises(SceneCaptumError, match="error bars"):
         ablation_test(renderer, torch.mean, bare)
+    with pytest.raises(SceneCaptumError, match="at least 2 samples per pixel"):
+        ablation_test(renderer, torch.mean, spp=1)
 
 
 def test_table_and_figure_show_what_agrees():
@@ -174,6 +176,48 @@ def test_table_and_figure_show_what_agrees():
     assert [label.get_text() for label in axes.get_yticklabels()] == [row.label for row in test.rows]
     texts = {text.get_text() for text in axes.get_legend().get_texts()}
     assert {"predicted: the saliency", "measured: not as predicted", "noise"} < texts
+
+
+def test_a_test_of_nothing_is_drawn_with_its_verdict():
+    test = ablation_test(Curved(), lambda image: 0 * image.sum(), top=2)
+    assert not test.rows
+    assert not test.is_confirmed
+    assert "Nothing to test" in str(test)
+    assert "Nothing to test" in " ".join(all_text(test.plot()).split())
+
+
+@pytest.mark.parametrize(
+    ("predicted", "measured", "remark"),
+    [
+        ((5.0, 0.1), (0.5, 1.7), "below the noise, but unlike predicted"),
+        ((5.0, 0.1), (4.0, 1.7), "below the noise: prediction not confirmed"),
+        ((5.0, 2.0), (0.5, 1.7), "below the noise"),
+    ],
+)
+def test_a_clear_prediction_below_the_noise_is_not_hidden(predicted, measured, remark):
+    row, other, *_ = ablation_test(Curved(noise=0.0), torch.mean, top=2).rows
+    names = ("predicted", "predicted_error"), ("measured", "measured_error")
+    given = {
+        name: n
+        for pair, side in zip(names, (predicted, measured), strict=True)
+        for name, n in zip(pair, side, strict=True)
+    }
+    test = AblationTest((dataclasses.replace(row, **given), other), "brightness")
+    assert str(test).splitlines()[1].endswith(f"  {remark}")
+    assert ("1 of them unlike predicted at 95 %" in test.verdict) == ("unlike" in remark)
+
+
+def test_derivatives_that_are_known_to_be_wrong_are_marked():
+    right = VanillaSceneGradient(Curved(), torch.mean).attribute()
+    marked = dataclasses.replace(right, info={**right.info, "cautions": {"b": "biased here"}})
+    test = ablation_test(Curved(), torch.mean, marked)
+    assert {row.name: row.caution for row in test.rows} == {"a": "", "b": "biased here", "c": "", "d": ""}
+    lines = str(test).splitlines()
+    assert [line.split()[0] for line in lines if line.split()[1:2] == ["!"]] == ["b"]
+    assert "! biased here" in lines
+    drawn = all_text(test.plot())
+    assert "! b" in drawn.splitlines()
+    assert "! biased here" in drawn
 
 
 def test_the_fixed_step_of_the_paper_is_measured_too():

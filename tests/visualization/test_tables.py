@@ -185,8 +185,9 @@ def test_table_says_that_effects_of_a_small_roughness_are_overstated() -> None:
     note = "~  metal.alpha.value: a small roughness acts most near 0"
     assert note in text(0.02, 1.0)
     assert note in text(0.2, 1.0)
-    assert "overstated; render the change, or measure an ablation (not shown)" in " ".join(
-        text(0.02, 1.0, 1, -0.9).split()
+    assert (
+        "overstated; render the change, or measure an ablation with another roughness as baseline (not shown)"
+        in " ".join(text(0.02, 1.0, 1, -0.9).split())
     )
     assert "not shown" not in text(0.02, 1.0, 1)
     assert "overstated" not in text(0.3, 1.0)

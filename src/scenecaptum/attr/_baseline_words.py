@@ -16,6 +16,9 @@ _MAX_CHANNELS = 4
 _MAX_NAMED = 6  # of the keys of a mapping, in its order: the effects are not known yet
 _MAX_LISTED = 3  # baselines of a list
 _DEFAULT = "lights and reflectances 0"
+_DEFAULT_OF_UNKNOWN = "0"  # without a table of the parameters
+DEFAULT_OF_OCCLUSION = "the mean of each channel"
+_OTHERS_UNCHANGED = ", all other inputs unchanged"
 _PRESETS = {
     "dark": "all lights off, everything else unchanged",
     "black": "all reflectances 0, everything else unchanged",
@@ -31,13 +34,16 @@ def describe_baselines(
     *,
     default: str = _DEFAULT,
 ) -> dict[str, Any]:
-    """Return ``"baselines"``, that of each input in words, and ``"compared_with"`` if any is given.
+    """Return ``"baselines"``, that of each input in words, and ``"compared_with"``.
 
-    ``resolved`` are the tensors that ``resolve_baselines`` returned, ``default`` says what those of None are.
+    Default baselines that change every input need no words. ``resolved`` are the tensors that
+    ``resolve_baselines`` returned, ``default`` says what those of None are.
     """
     info: dict[str, Any] = {"baselines": {n: _written(resolved[n], value) for n, value in values.items()}}
     if baselines is None:
-        return info
+        if _UNCHANGED not in info["baselines"].values():
+            return info
+        return info | {"compared_with": _default_words(renderer, default) + _OTHERS_UNCHANGED}
     if isinstance(baselines, str):
         return info | {"compared_with": _PRESETS[baselines]}
     if Capabilities(baselines).inputs is not None:
@@ -86,11 +92,24 @@ def _of_mapping(
     if changed - named:
         parts += [f"{name} unchanged" for name in kept[:_MAX_NAMED]]
         parts += [f"{len(kept) - _MAX_NAMED} more unchanged"] if len(kept) > _MAX_NAMED else []
-        zero = default if table_of(renderer) is not None else "0"
-        parts.append(f"{others} at their default baselines ({zero})")
+        parts.append(f"{others} at their default baselines ({_default_words(renderer, default)})")
     elif kept or named != set(values):
         parts.append(f"{others if moved else 'all inputs'} unchanged")
     return "; ".join(parts)
+
+
+def _default_words(renderer: Renderer, default: str) -> str:
+    return default if table_of(renderer) is not None else _DEFAULT_OF_UNKNOWN
+
+
+def have_same_baselines(a: Mapping[str, Any], b: Mapping[str, Any]) -> bool:
+    """Whether the ``info`` of two results says that they are compared with the same.
+
+    The same default baselines change all inputs of one scene, and of another all but those that are 0 there.
+    """
+    defaults = {words + _OTHERS_UNCHANGED for words in (_DEFAULT, _DEFAULT_OF_UNKNOWN, DEFAULT_OF_OCCLUSION)}
+    first, second = (one.get("compared_with") for one in (a, b))
+    return first == second or defaults | {None} >= {first, second}
 
 
 def _written(baseline: torch.Tensor, value: torch.Tensor | None = None) -> str:

@@ -11,6 +11,7 @@ import torch
 from torch.nn.functional import pad
 
 from ..visualization import rounded
+from ._baseline_words import have_same_baselines
 from ._convergence import convergence, freedom_of
 from ._data import AttributionData, Tensors, covariances
 from ._quadrature_error import covariance_of_quadrature
@@ -90,7 +91,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error", "metric_bias", "proportional_errors")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
-    if a.info.get("compared_with") != b.info.get("compared_with"):
+    if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)
     explained_a, explained_b = a.info.get("explained"), b.info.get("explained")

@@ -471,7 +471,7 @@ class Explanation:
         if not clear and self._saturated():
             return lines
         if not clear:
-            return [*lines, self._unranked_line(len(unclear))] if unclear else lines
+            return [*lines, *self._unranked_lines(unclear)] if unclear else lines
         smallest = min(abs(row.effect) for row in clear[: self.count])
         # An effect as large as the smallest that is stated may hide in the error of another.
         hiding = [
@@ -491,16 +491,24 @@ class Explanation:
         more = f" and {pluralize(len(seen) - MOST_NAMED, 'other')}" if len(seen) > MOST_NAMED else ""
         return [f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"]
 
-    def _unranked_line(self, count: int) -> str:
+    def _unranked_lines(self, unclear: Sequence[RankedParameter]) -> list[str]:
         """Say that no effect stands out among all of them, and which changes are clear, as rendered."""
-        unranked = f"which of {pluralize(count, 'parameter')} matter most: no effect is clear enough to rank"
+        unranked = (
+            f"which of {pluralize(len(unclear), 'parameter')} matter most: no effect is clear enough to rank"
+        )
+        notes: list[str] = []
+        if len(unclear) == 1:
+            (one,) = unclear
+            effect = f"its effect of {self._effect(one)} is not clear of its noise"
+            unranked = f"whether {in_words(one.label)} matters: {effect}"
+            notes = [f"! {reason}" for reason in caution_groups(self.attribution, [one.name])]
         rendered = [
             f"{in_words(change.label)} ({self._by(change.measured, change.measured_error)})"
             for change in self.changes
             if change.measured is not None and change.is_clear
         ]
         seen = f", but rendered changes are clear: {', '.join(rendered)}" if rendered else ""
-        return f"{unranked}{seen}; use more samples"
+        return [f"{unranked}{seen}; use more samples", *notes]
 
     def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
         """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""

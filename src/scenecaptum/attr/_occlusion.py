@@ -17,7 +17,7 @@ from ..checkpoint import Folder
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES, Denoise, covariance_of_mean, input_values
 from ..protocols import ResultKind
-from ._baseline_words import describe_baselines
+from ._baseline_words import DEFAULT_OF_OCCLUSION, describe_baselines
 from ._baselines import Baselines, Values, resolve_baselines
 from ._method import Result, Settings, Targets
 from ._perturbation import Arm, Effect, Effects, Perturbation, measured_drops
@@ -132,9 +132,7 @@ class OcclusionScene(Perturbation):
             drops = measured_drops(pseudo_values, parts, sizes)
             return {name: _effect(own, windows[name], textures[name]) for name, own in drops.items()}, None
 
-        info = describe_baselines(
-            self.renderer, textures, baselines, occluded, default="the mean of each channel"
-        )
+        info = describe_baselines(self.renderer, textures, baselines, occluded, default=DEFAULT_OF_OCCLUSION)
         return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION.value, **info)
 
 

@@ -12,7 +12,8 @@ from typing import Any
 
 import torch
 
-from ..attr import Definition, Explanation, SceneAttribution, VanillaSceneGradient
+from ..attr import Change, Definition, Explanation, SceneAttribution, VanillaSceneGradient
+from ..designs import change_of_texture
 from ..estimation import Metric, TargetedMetric
 from ..explanation import (
     AT_THE_GOAL,
@@ -30,7 +31,14 @@ from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
-from ._optimize import NOT_REACHED, design_format, optimization_numbers, with_design_option
+from ._optimize import (
+    NOT_REACHED,
+    design_format,
+    is_large,
+    optimization_numbers,
+    plain_or_mean,
+    with_design_option,
+)
 from ._plan import plan_format, plans_of
 from ._points import check_grid, check_report, needed_coefficients, premises, with_settings
 
@@ -212,10 +220,6 @@ def explanation_formats(renderer: SceneRenderer, metric: Metric) -> list[OutputF
 def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> dict[str, Any]:
     """Return an explanation as plain values."""
     attribution, goal, definition = explanation.attribution, explanation.goal, explanation.definition
-    changes = [
-        {**vars(change), "before": change.before.tolist(), "after": change.after.tolist()}
-        for change in explanation.changes
-    ]
     return {
         "metric": {
             "name": metric_name(attribution),
@@ -231,11 +235,21 @@ def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> di
             {"name": row.name, "label": row.label, "effect": row.effect, "standard_error": row.effect_error}
             for row in attribution.ranking()
         ],
-        "changes": changes,
+        "changes": [_change_numbers(change, renderer) for change in explanation.changes],
         "rows": [vars(row) for row in explanation.rows],
         "goal": None if goal is None else optimization_numbers(goal, renderer),
         "sentences": dict(explanation.sections()),
     }
+
+
+def _change_numbers(change: Change, renderer: SceneRenderer) -> dict[str, Any]:
+    """Return a change as plain values; of a texture the means of both, and what changes all its texels alike."""
+    before, after = change.before, change.after
+    numbers = {**vars(change), "before": plain_or_mean(before), "after": plain_or_mean(after)}
+    if not is_large(before):
+        return numbers
+    setting = change_of_texture(renderer, change.name, before, after)
+    return {**numbers, "setting": dict([setting]) if setting else None}
 
 
 def _json(explanation: Explanation, renderer: SceneRenderer) -> str:

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from ..designs import settings_of
 from ..optimize import Optimization, minimize
 from ..rendering import SceneRenderer
@@ -18,6 +20,7 @@ from ._metrics import add_metric, find_metrics
 
 NOT_REACHED = 1
 DESIGN = "design.json"
+MOST_NUMBERS = 16  # of a value that is listed
 
 
 def add(commands: Any) -> None:
@@ -76,13 +79,29 @@ def run(options: argparse.Namespace) -> int:
 
 
 def optimization_numbers(found: Optimization, renderer: SceneRenderer) -> dict[str, Any]:
-    """Return what was reached, and the design, as plain values."""
+    """Return what was reached, and the design, as plain values; with many texels it is in its file alone."""
     measured = {
         name: {"value": side.value, "standard_error": side.error}
         for name, side in (("before", found.before), ("after", found.after))
     }
     numbers = {"metric": found.metric, "below": found.below, "reached": found.reached, **measured}
-    return {**numbers, "design": settings_of(renderer, found.values)}
+    design = {
+        name: {"file": DESIGN, "mean": plain_or_mean(found.values[name])}
+        if name in found.values and is_large(found.values[name])
+        else setting
+        for name, setting in settings_of(renderer, found.values).items()
+    }
+    return {**numbers, "design": design}
+
+
+def is_large(value: torch.Tensor) -> bool:
+    """Whether a value has too many numbers to be listed among others: a texture or a map."""
+    return value.ndim > 1 and value.numel() > MOST_NUMBERS
+
+
+def plain_or_mean(value: torch.Tensor) -> Any:
+    """Return a value as plain numbers: of a texture or a map, the mean of each channel."""
+    return (value.double().flatten(0, -2).mean(0) if is_large(value) else value).tolist()
 
 
 def with_design_option(found: Optimization, folder: Path) -> Optimization:

@@ -57,11 +57,10 @@ def validate(options: argparse.Namespace) -> int:
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),
         )
+        # First the answer: nothing that goes wrong with a file may hide it.
+        print(_json(test) if options.json else "\n".join([str(test), *premises(metric, options)]), flush=True)
         write_files(test, options.out, FORMATS)
-    if options.json:
-        print(_json(test))
-    else:
-        print(test, *premises(metric, options), sep="\n")
+    if not options.json:
         print_files(options.out, FORMATS)
         _arguments.print_resumed(renderer)
     return 0 if test.is_confirmed else NOT_CONFIRMED

@@ -71,7 +71,7 @@ class Measure:
 
 def luminance_unit(efficacy: float) -> str:
     """Return the unit of radiance times a luminous efficacy."""
-    return "W/(sr m²)" if efficacy == 1 else "cd/m²"
+    return "W/(m² sr)" if efficacy == 1 else "cd/m²"
 
 
 UGR = Measure(

@@ -22,4 +22,4 @@ class Bounds:
 
 
 def _number(value: float) -> str:
-    return "∞" if value == math.inf else "−∞" if value == -math.inf else f"{value:g}"
+    return "∞" if value == math.inf else "−∞" if value == -math.inf else f"{value:g}".replace("-", "−")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
@@ -25,10 +26,12 @@ from ..visualization import (
     WIDTH,
     add_footnotes,
     axes_or_new,
+    caution_marks,
     characters_per_line,
     figure_of,
     format_with_error,
     grid,
+    group_by_text,
     log_axis,
     metric_name,
     minus,
@@ -139,6 +142,8 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
         attribution = VanillaSceneGradient(renderer, metric).attribute(
             target=target, seed=seed, spp=spp, show_progress=show_progress
         )
+    if is_plain_gradient(attribution) and attribution.info.get("spp") == 1:
+        raise SceneCaptumError("ablation_test needs at least 2 samples per pixel for error bars: raise spp.")
     if not is_plain_gradient(attribution) or attribution.covariance is None:
         raise SceneCaptumError(
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
@@ -147,10 +152,15 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
     scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     slopes, errors = attribution.saliency("unit"), attribution.saliency_error("unit") or {}
     rows = [row for row in attribution.ranking(whole_number("top", top)) if slopes[row.name] > 0]
+    cautions = attribution.info.get("cautions") or {}
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(
             rows=tuple(
-                _ablate(scenes, row, attribution[row.name], slopes[row.name], errors[row.name]) for row in bar
+                dataclasses.replace(
+                    _ablate(scenes, row, attribution[row.name], slopes[row.name], errors[row.name]),
+                    caution=cautions.get(row.name, ""),
+                )
+                for row in bar
             ),
             metric=metric_name(attribution),
         )
@@ -254,6 +264,8 @@ class Ablated:
         Slope measured with the step of the paper, one hundredth of the gradient, down the gradient and inside the
         bounds, including the second-order term; None where the parameter is at its bound, and where the metric
         would change by no more than the rounding of single precision.
+    caution
+        Why the derivative is known to be wrong; empty if it is not.
     """
 
     name: str
@@ -267,12 +279,16 @@ class Ablated:
     degrees_of_freedom: int
     fixed: float | None = None
     fixed_error: float | None = None
+    caution: str = ""
 
     @property
     def noise(self) -> float:
         """Half-width of the 99.7 % confidence interval of the difference of prediction and measurement."""
+        return self._half_width(DISAGREEMENT_LEVEL)
+
+    def _half_width(self, level: float) -> float:
         error = math.hypot(self.predicted_error, self.measured_error)
-        return student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
+        return student_t(level, self.degrees_of_freedom) * error
 
     @property
     def above_noise(self) -> bool:
@@ -284,6 +300,17 @@ class Ablated:
         """Whether prediction and measurement agree within 10 % or within the noise."""
         allowed = max(AGREEMENT_TOLERANCE * self.predicted, self.noise)
         return abs(self.measured - self.predicted) <= allowed
+
+    @property
+    def is_clear(self) -> bool:
+        """Whether the prediction exceeds its own noise: a measurement below the noise then leaves it in doubt."""
+        return self.predicted > student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * self.predicted_error
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the measurement is below the noise, but at 95 % differs from a prediction that is clear."""
+        differs = abs(self.measured - self.predicted) > self._half_width(SIGNIFICANCE_LEVEL)
+        return not self.above_noise and self.is_clear and differs
 
 
 @dataclass(frozen=True, repr=False)
@@ -337,11 +364,17 @@ class AblationTest:
         agreeing = sum(row.agrees for row in measurable)
         tau = self.kendall_tau
         order = "no resolved pair to rank" if tau is None else f"Kendall's τ {minus(f'{tau:.2f}')}"
+        doubtful = sum(row.is_doubtful for row in self.rows)
+        in_doubt = f", {doubtful} of them unlike predicted at 95 %" if doubtful else ""
         return (
             f"{'Confirmed' if self.is_confirmed else 'Not confirmed'}: "
             f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
-            f"{order}; {len(self.rows) - len(measurable)} below the noise"
+            f"{order}; {len(self.rows) - len(measurable)} below the noise{in_doubt}"
         )
+
+    def _cautions(self) -> dict[str, str]:
+        """Return the mark of each reason why derivatives are known to be wrong."""
+        return caution_marks(group_by_text((row.name, row.caution) for row in self.rows))
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Plot the predicted and the measured slope of the metric for each parameter, into ``ax`` if given.
@@ -354,17 +387,26 @@ class AblationTest:
         label = f"change of {self.metric} per unit of the parameter, along its gradient"
         lines = wrapped_lines(label, characters_per_line(0.67 * WIDTH, TEXT))
         style_axes(ax, x="\n".join(lines))
-        _draw(ax, self.rows)
-        name_rows(ax, shorten([row.label for row in self.rows], _NAME_WIDTH))
+        if self.rows:
+            _draw(ax, self.rows)
+        else:
+            ax.set_xticks([])  # the verdict says why there is nothing to draw
+        marks, names = self._cautions(), shorten([row.label for row in self.rows], _NAME_WIDTH)
+        name_rows(
+            ax,
+            [f"{marks.get(row.caution, '')} {n}".strip() for row, n in zip(self.rows, names, strict=True)],
+        )
         write_header(ax, "Ablation test", columns=2)
-        add_footnotes(ax, wrapped_lines(self.verdict, _NOTE_WIDTH), below=34 + 13 * (len(lines) - 1))
+        notes = [self.verdict, *(f"{mark} {text}" for text, mark in marks.items())]
+        footnotes = [line for note in notes for line in wrapped_lines(note, _NOTE_WIDTH)]
+        add_footnotes(ax, footnotes, below=34 + 13 * (len(lines) - 1))
         return figure_of(ax)
 
     def __str__(self) -> str:
-        names = shorten([row.label for row in self.rows], _NAME_WIDTH)
+        marks, names = self._cautions(), shorten([row.label for row in self.rows], _NAME_WIDTH)
         cells = [
             (
-                name,
+                f"{name} {marks.get(row.caution, '')}".rstrip(),
                 format_with_error(row.predicted, row.predicted_error),
                 format_with_error(row.measured, row.measured_error),
                 rounded(row.step, 2),
@@ -375,7 +417,8 @@ class AblationTest:
             ("moved along its gradient", "predicted slope", "measured slope", "step"), cells, right=True
         )
         remarks = ["", *(_remark(row) for row in self.rows)]
-        return "\n".join([*map(str.__add__, lines, remarks), "", self.verdict])
+        notes = [f"{mark} {text}" for text, mark in marks.items()]
+        return "\n".join([*map(str.__add__, lines, remarks), *notes, "", self.verdict])
 
     __repr__ = __str__
 
@@ -443,6 +486,8 @@ def _color(row: Ablated) -> str:
 
 
 def _remark(row: Ablated) -> str:
+    if row.is_doubtful:
+        return "  below the noise, but unlike predicted"
     if not row.above_noise:
-        return "  below the noise"
+        return f"  below the noise{': prediction not confirmed' if row.is_clear else ''}"
     return "" if row.agrees else "  not as predicted"

@@ -146,7 +146,7 @@ def _roughness_notes(
     named = [name for name in small if effects[name] > notable] or small[:1]
     note = (
         f"{_named(attribution, named, of=len(small))}: a small roughness acts most near 0, so its effect over the "
-        "whole range is overstated; render the change, or measure an ablation"
+        "whole range is overstated; render the change, or measure an ablation with another roughness as baseline"
     )
     return {note: small}
 

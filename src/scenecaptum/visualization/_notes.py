@@ -146,9 +146,29 @@ def convergence_notes(attribution: Attribution) -> list[str]:
 
 
 def baseline_notes(attribution: Attribution) -> list[str]:
-    """Return a note on what contributions are compared with, if the user chose it."""
+    """Return a note on what contributions are compared with.
+
+    It names the inputs that the baselines leave as they are: their contribution is 0, whatever their effect is.
+    """
     compared = attribution.info.get("compared_with")
-    return [f"compared with: {compared}"] if compared else []
+    if not compared:
+        return []
+    return [f"compared with: {compared}{_unchanged(attribution)}"]
+
+
+def _unchanged(attribution: Attribution) -> str:
+    """Return which inputs have their own value as their baseline; of groups, which mix them, how many."""
+    baselines = attribution.info.get("baselines")
+    if not isinstance(baselines, Mapping):  # of a list of baselines
+        return ""
+    names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
+    rows = [name for name in names if name in attribution]
+    counted = pluralize(len(rows or names), "input")
+    if not rows:
+        return f" ({counted} unchanged)" if names else ""
+    whose = "its" if len(rows) == 1 else "their"
+    named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
+    return f" ({counted} unchanged, so {whose} 0 says nothing: {named})"
 
 
 def _comparison_notes(attribution: Attribution) -> list[str]:
