@@ -479,9 +479,9 @@ class Explanation:
         ]
         if hiding:
             lines.append(self._hiding_line(hiding, smallest))
-        return [*lines, *self._unranked_lines([row for row in unclear if row not in hiding], len(clear))]
+        return [*lines, *self._lines_on_signs([row for row in unclear if row not in hiding], len(clear))]
 
-    def _unranked_lines(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
+    def _lines_on_signs(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
         """Name the effects that are not stated although their signs are clear in the table."""
         errors = clear_from(self.attribution.info)
         seen = [in_words(row.label) + f" ({self._number(row)})" for row in rows if _exceeds(row, errors)]
