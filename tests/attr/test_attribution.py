@@ -32,7 +32,7 @@ def glare_like(image: torch.Tensor) -> torch.Tensor:
 
 
 METRICS = {"linear": torch.mean, "log": log_mean, "sigmoid": glare_like}
-REPEATS = 150
+REPEATS = 100
 
 
 def assert_bars_are_honest(spread: torch.Tensor, bars: torch.Tensor) -> None:

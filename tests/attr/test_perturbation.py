@@ -174,7 +174,7 @@ def test_occlusion_is_captums(shape, stride):
 
 # ------------------------------------------------------------------------------------------ honest error bars
 
-REPEATS = 150
+REPEATS = 100
 
 
 def exact_ablation(renderer: PartsRenderer, metric) -> torch.Tensor:

@@ -21,7 +21,7 @@ from scenecaptum import (
 )
 
 SIGMA = 0.8
-RUNS = 80
+RUNS = 60
 
 
 def squares(image: torch.Tensor) -> torch.Tensor:
