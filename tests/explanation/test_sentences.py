@@ -51,6 +51,11 @@ def test_only_the_quoted_value_is_too_close_to_a_limit():
     assert near.rating().endswith("too close to 19 to be sure")
 
 
+def test_a_value_that_may_be_in_several_classes_has_its_range():
+    wide = Explanation(rated(17.2, 0.04), definition=Definition(20.1, "within 22", error=2.5))
+    assert wide.rating().endswith("too uncertain to be sure: 15.1 to 25.1 within two errors")
+
+
 def test_the_error_of_a_rating_without_a_glare_source_is_explained():
     def notes(value: float, error: float, verdict: str = "no glare source found") -> list[str]:
         attribution = rated(value, error)

@@ -193,6 +193,8 @@ class Explanation:
         is_relaxed = self.definition is None and self.attribution.info.get("relaxed")
         is_class = bool(means) and means != NO_SOURCE and not is_relaxed
         doubt = f"too close to {near[0]:g} to be sure" if near and is_class else ""
+        if doubt and len(near) > 1:
+            doubt = f"too uncertain to be sure: {rounded(low)} to {rounded(high)} within two errors"
         source = f" ({measure['source']})" if measure.get("source") and is_class else ""
         return "; ".join(filter(None, [f"{means}{source}", doubt]))
 
