@@ -138,7 +138,7 @@ def test_inputs_that_the_default_baselines_leave_unchanged_are_named(mi, method)
     attribution = method(renderer, torch.mean).attribute(seed=shifted())
     assert attribution.info["baselines"]["short_box_shape.bsdf.alpha.value"] == "unchanged"
     defaults = "compared with: lights and reflectances 0, all other inputs unchanged"
-    note = f"{defaults} (1 input unchanged, so its 0 says nothing: {attribution.labels[inputs[0]]})"
+    note = f"{defaults} (its 0 says nothing: {attribution.labels[inputs[0]]})"
     for text in (table_text(attribution), all_text(plot_bars(attribution))):
         assert note in " ".join(text.split())
 

@@ -163,12 +163,10 @@ def _unchanged(attribution: Attribution) -> str:
         return ""
     names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
     rows = [name for name in names if name in attribution]
-    counted = pluralize(len(rows or names), "input")
     if not rows:
-        return f" ({counted} unchanged)" if names else ""
-    whose = "its" if len(rows) == 1 else "their"
+        return f" ({pluralize(len(names), 'input')} unchanged)" if names else ""
     named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
-    return f" ({counted} unchanged, so {whose} 0 says nothing: {named})"
+    return f" ({'its' if len(rows) == 1 else 'their'} 0 says nothing: {named})"
 
 
 def _comparison_notes(attribution: Attribution) -> list[str]:
