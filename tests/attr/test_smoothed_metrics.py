@@ -116,12 +116,19 @@ def test_a_network_metric_says_that_its_gradient_is_rough_until_it_is_smoothed(c
         asked = create(network, transform=_enlarged, smoothing=smoothing)
         found = VanillaSceneGradient(renderer, asked).attribute(seed=shifted(0), spp=16)
         assert (note in str(found)) is is_rough
-        path = IntegratedGradientsScene(renderer, asked).attribute(n_steps=2, seed=shifted(0), spp=16)
-        assert (note in str(path)) is is_rough
     ablation = FeatureAblationScene(renderer, create(network, transform=_enlarged))
     assert note not in str(ablation.attribute(baselines=0.0, seed=shifted(0), spp=16))
     smoothed = metrics.Smoothed(create(network, transform=_enlarged), n=16)
     assert note not in str(VanillaSceneGradient(renderer, smoothed).attribute(seed=shifted(0), spp=16))
+
+
+@pytest.mark.parametrize(("smoothing", "is_rough"), [(None, True), (0.3, False)])
+def test_integrated_gradients_of_a_network_say_so_too(smoothing: float | None, is_rough: bool) -> None:
+    network = metrics.ShapeClassifier.pretrained()
+    logit = metrics.ClassLogit(network, "cube", transform=_enlarged, smoothing=smoothing)
+    path = IntegratedGradientsScene(ReplayingToyRenderer(0.001), logit)
+    said = str(path.attribute(n_steps=2, seed=shifted(0), spp=16))
+    assert ("effects of the rough gradient of a noisy picture, without smoothing" in said) is is_rough
 
 
 def _enlarged(picture: torch.Tensor) -> torch.Tensor:

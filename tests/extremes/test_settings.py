@@ -116,5 +116,7 @@ def test_settings_of_zero_are_refused(mi, options, words):
 
 def test_two_samples_are_two_replicates_with_a_warning(renderer):
     found = VanillaSceneGradient(renderer, mean).attribute(seed=shifted(), spp=2)
-    assert "with 2 replicates the standard error has about 71 % relative uncertainty" in str(found)
+    assert "with 2 replicates the standard error has about 71 % relative uncertainty" in " ".join(
+        str(found).split()
+    )
     assert set(found.untrusted_errors()) == set(found)

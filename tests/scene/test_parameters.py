@@ -92,7 +92,7 @@ EXPECTED = {
     "sky.scale": ("emitters", (), NON_NEGATIVE, "sky"),
     "mist.interior_medium.albedo.value.value": ("media", (3,), UNIT, "mist"),
     "mist.interior_medium.sigma_t.value.value": ("media", (), NON_NEGATIVE, "mist"),
-    "mist.interior_medium.phase_function.g": ("media", (), "[-1, 1]", "mist"),
+    "mist.interior_medium.phase_function.g": ("media", (), "[−1, 1]", "mist"),
 }
 
 

@@ -199,7 +199,8 @@ def _say_depth(renderer: SceneRenderer) -> None:
     if own not in (None, used):
         wanted = "paths of any length" if own == -1 else str(own)
         warnings.warn(
-            f"Paths have at most {used} segments; {Path(renderer.name).name} asks for {wanted}: --max-depth {own}",
+            f"Paths have at most {used} segments, and {Path(renderer.name).name} asks for {wanted}: this is "
+            f"quick, but the light of longer ones is missing. For final numbers use --max-depth {own}",
             stacklevel=3,
         )
 
