@@ -181,7 +181,7 @@ class Optimization:
         )
         of_steps = self.metric if self.after.relaxed is None else f"{self.metric}, relaxed at the steps"
         # Not the last value of the curve, which lies beyond the goal.
-        step = "step (the last one is shortened, to end at the goal)" if self.reached else "step"
+        step = "step (the last one is shortened as far as the goal allows)" if self.reached else "step"
         style_axes(history, of_steps, x=step, size=TEXT)
         history.locator_params(axis="x", integer=True)
         part.suptitle("\n".join(title), fontsize=TITLE, x=0.01, ha="left", parse_math=False)
