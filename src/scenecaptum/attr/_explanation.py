@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 
-from ..estimation import TOO_NOISY, student_t
+from ..estimation import TOO_NOISY
 from ..metrics import NO_SOURCE
-from ..protocols import Attribution, RankedParameter
-from ..scene import pose_component
-from ..student import clear_from
+from ..protocols import Attribution
 from ..visualization import (
     axis_label,
-    caution_groups,
-    caution_marks,
     format_with_error,
     metric_name,
     metric_symbol,
@@ -25,29 +19,21 @@ from ..visualization import (
     noise_notes,
     plain_number,
     pluralize,
-    range_marked,
-    range_notes,
     rounded,
     terminal_width,
-    unit_notes,
-    unit_of_change,
-    untrusted_groups,
     verdict,
     with_error,
     wrap,
 )
+from ._effect_sentences import EffectSentences
 from ._findings import SIGNIFICANT, Change, Definition, Row, Source, is_clear
-from ._wording import in_words, move, percent, row_name, signed, step
+from ._wording import change_in_words, percent, row_name, signed, step
 
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
 FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
-FALSE_ALARMS = 0.05  # allowed for all effects together
-CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
 BIASED = "derivative known to be biased"
-UNSURE_SIZE = "size uncertain"
-MOST_SAMPLES = 100  # times those of a result: more are no advice
-MOST_NAMED = 3  # of the effects that may be large
+MOST_NAMED = 3  # of the sources that may be large
 DEFAULT_EFFECTS = 5
 GLARE_SOURCES = "Where the glare comes from"
 PICTURE_SOURCES = "What it sees in the picture: shares of the sum of |gradient × value| over the pixels"
@@ -97,6 +83,7 @@ class Explanation:
         # That counts sources below a threshold, too.
         relaxed = ", of the relaxed value" if self.definition else ""
         is_glare = any(source.luminance is not None for source in self.sources)
+        effects = EffectSentences(self.attribution, self.changes, self.count, self._saturated())
         sections = [
             (
                 ": ".join(filter(None, [self.headline(), self.rating()])),
@@ -108,7 +95,7 @@ class Explanation:
             ),
             (
                 f"What it depends on: {axis_label(self.attribution, width=None)}{relaxed}",
-                self._effect_lines(),
+                effects.lines(),
             ),
             (f"What would change it{self._relaxed_effects()}", self._change_lines()),
             ("Which points decide", self._row_lines()),
@@ -116,7 +103,7 @@ class Explanation:
                 self._goal_heading(),
                 self._goal_lines(),
             ),
-            ("Too noisy to say", self._unclear_lines()),
+            ("Too noisy to say", effects.unclear_lines()),
         ]
         return [section for index, section in enumerate(sections) if index == 0 or section[1]]
 
@@ -255,74 +242,6 @@ class Explanation:
         rest = 1 - sum(source.share for source in stated)
         return [*lines, f"the rest: {100 * rest:.1f} %"] if lines and rest > SMALL_REST else lines
 
-    def _effect_lines(self) -> list[str]:
-        if not self.count:
-            return []
-        clear, unclear = self._clear_and_unclear()
-        if not clear and (saturated := self._saturated()):
-            return [saturated]
-        stated = clear[: self.count]
-        if not stated:
-            return []
-        names = [row.name for row in stated]
-        notes = range_notes(self.attribution, among=names)
-        doubts = {
-            reason: whose
-            for reason, whose in untrusted_groups(self.attribution).items()
-            if {*whose} & {*names}
-        }
-        # No marks if all would have one.
-        partial = [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
-        cautions = caution_groups(self.attribution, names)
-        wrong = caution_marks(cautions)
-        marks = {name: wrong[reason] for reason, whose in cautions.items() for name in whose}
-        marks |= {name: f"{marks.get(name, '')}?" for whose in partial for name in whose}
-        marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(notes)}
-        allowed = self._allowed_errors()
-        unsure = f"sign clear, {UNSURE_SIZE}" if self.attribution.kind.has_sign else UNSURE_SIZE
-        lines = [
-            f"{in_words(row.label)}: {self._effect(row)}{self._along(row.name)}"
-            f"{f' {marks[row.name]}' if row.name in marks else ''}"
-            f"{'' if _exceeds(row, allowed) else f' ({unsure})'}"
-            for row in stated
-        ]
-        above, below = self._larger_lines(unclear, abs(stated[0].effect))
-        return [
-            *above,
-            *lines,
-            *below,
-            *(f"{mark} {reason}" for reason, mark in wrong.items()),
-            *(
-                f"? {reason}" if whose in partial else f"all parameters: {reason}"
-                for reason, whose in doubts.items()
-            ),
-            *(f"~ {note}" for note in notes),
-            *unit_notes(self.attribution, stated),
-        ]
-
-    def _larger_lines(
-        self, unclear: Sequence[RankedParameter], largest: float
-    ) -> tuple[list[str], list[str]]:
-        """Say which effects in the noise may exceed the largest that is stated: above those, or below.
-
-        It stands above them if one is larger by its value, too, and that is the one that is named.
-        """
-
-        def upper(row: RankedParameter) -> float:
-            return abs(row.effect) + SIGNIFICANT * (row.effect_error or 0.0)
-
-        larger = sorted((row for row in unclear if upper(row) > largest), key=upper, reverse=True)
-        if not larger:
-            return [], []
-        first = max(larger, key=lambda row: abs(row.effect))
-        is_largest = abs(first.effect) > largest
-        first, *others = [first, *(row for row in larger if row is not first)] if is_largest else larger
-        more = f" and {pluralize(len(others), 'other')}" if others else ""
-        named = f"{in_words(first.label)} ({self._number(first)}){more}"
-        if is_largest:
-            return [f"the largest effect is uncertain: {named} may exceed those below"], []
-        return [], [f"also uncertain: {named} may exceed those above"]
-
     def _change_lines(self) -> list[str]:
         return [self._change_line(change) for change in self.changes if change.is_clear]
 
@@ -363,7 +282,7 @@ class Explanation:
         )
 
     def _row_line(self, row: Row) -> str:
-        effect = self._by(row.effect, row.effect_error)
+        effect = change_in_words(self.attribution, row.effect, row.effect_error)
         there = "" if row.value is None else f"{self._in_unit(self._plain(row.value))}; "
         return f"{row_name(row)}, {pluralize(row.count, 'point')}: {there}{effect} for all points"
 
@@ -371,7 +290,8 @@ class Explanation:
         predicted = signed(change.predicted, change.predicted_error)
         what = f"{step(change)}: {metric_symbol(self.attribution)}"
         if change.measured is None:
-            return f"{what} {self._by(change.predicted, change.predicted_error)}, predicted"
+            effect = change_in_words(self.attribution, change.predicted, change.predicted_error)
+            return f"{what} {effect}, predicted"
         value = self.attribution.metric_value
         if self.definition is not None and change.exact is not None:
             numbers = (self.definition.value, change.exact)
@@ -399,7 +319,8 @@ class Explanation:
         """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""
         if self.definition is None or change.exact is None or not change.exact_error:
             return ""
-        return f", by {self._by(change.exact - self.definition.value, change.exact_error)}"
+        difference = change.exact - self.definition.value
+        return f", by {change_in_words(self.attribution, difference, change.exact_error)}"
 
     def _goal_heading(self) -> str:
         if self.goal is None or self.goal.was_below:
@@ -415,13 +336,6 @@ class Explanation:
             *([self.goal.note] if self.goal.note else []),
         ]
 
-    def _along(self, name: str) -> str:
-        """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""
-        component = pose_component(name)
-        if component is None or self.attribution.scale_or_default() != "range":
-            return ""
-        return f" for {move(component, self.attribution.weights()[name], self.attribution.info.get('up'))}"
-
     def _with_error(self, value: float, error: float | None) -> str:
         """Return a number with its error, also one of 0: a share of hours may be the same in all replicates."""
         if error:
@@ -435,141 +349,6 @@ class Explanation:
     def _in_unit(self, number: str) -> str:
         return f"{number} {metric_unit(self.attribution)}".rstrip()
 
-    def _by(self, change: float, error: float | None) -> str:
-        """Return a change or an effect with its sign and its unit."""
-        return f"{signed(change, error)} {self._unit_of_change()}".rstrip()
-
-    def _effect(self, row: RankedParameter) -> str:
-        """Return an effect with its unit."""
-        return f"{self._number(row)} {self._unit_of_effect()}".rstrip()
-
-    def _number(self, row: RankedParameter) -> str:
-        """Return an effect without its unit; a square or a variance has no sign."""
-        write = signed if self.attribution.kind.has_sign else format_with_error
-        return write(row.effect, row.effect_error)
-
-    def _unit_of_effect(self) -> str:
-        unit = self._unit_of_change()
-        return unit if self.attribution.kind.has_sign or not unit else f"({unit})²"
-
-    def _unit_of_change(self) -> str:
-        return unit_of_change(metric_unit(self.attribution))
-
-    def _unclear_lines(self) -> list[str]:
-        """Return how many effects are in the noise, and the samples that would resolve them."""
-        if not self.count:
-            return []
-        if self.attribution.covariance is None:
-            if all(row.effect == 0 for row in self.attribution.ranking()):
-                return []
-            return ["which effects are due to noise: there are no error bars"]
-        lines = [
-            f"{step(change)}: rendered again, the effect of "
-            f"{signed(change.measured or 0.0, change.measured_error)} is within its noise"
-            for change in self.changes
-            if not change.is_clear
-        ]
-        clear, unclear = self._clear_and_unclear()
-        if not clear and self._saturated():
-            return lines
-        if not clear:
-            return [*lines, *self._unranked_lines(unclear)] if unclear else lines
-        smallest = min(abs(row.effect) for row in clear[: self.count])
-        # An effect as large as the smallest that is stated may hide in the error of another.
-        hiding = [
-            row for row in unclear if max(abs(row.effect), SIGNIFICANT * (row.effect_error or 0.0)) > smallest
-        ]
-        if hiding:
-            lines.append(self._hiding_line(hiding, smallest))
-        return [*lines, *self._lines_on_signs([row for row in unclear if row not in hiding], len(clear))]
-
-    def _lines_on_signs(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
-        """Name the effects that are not stated although their signs are clear in the table."""
-        errors = clear_from(self.attribution.info)
-        seen = [in_words(row.label) + f" ({self._number(row)})" for row in rows if _exceeds(row, errors)]
-        if not seen or count >= self.count:
-            return []
-        clear = "clear in sign" if self.attribution.kind.has_sign else "above the noise"
-        more = f" and {pluralize(len(seen) - MOST_NAMED, 'other')}" if len(seen) > MOST_NAMED else ""
-        return [f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"]
-
-    def _unranked_lines(self, unclear: Sequence[RankedParameter]) -> list[str]:
-        """Say that no effect stands out among all of them, and which changes are clear, as rendered."""
-        unranked = (
-            f"which of {pluralize(len(unclear), 'parameter')} matter most: no effect is clear enough to rank"
-        )
-        notes: list[str] = []
-        if len(unclear) == 1:
-            (one,) = unclear
-            effect = f"its effect of {self._effect(one)} is not clear of its noise"
-            unranked = f"whether {in_words(one.label)} matters: {effect}"
-            notes = [f"! {reason}" for reason in caution_groups(self.attribution, [one.name])]
-        rendered = [
-            f"{in_words(change.label)} ({self._by(change.measured, change.measured_error)})"
-            for change in self.changes
-            if change.measured is not None and change.is_clear
-        ]
-        seen = f", but rendered changes are clear: {', '.join(rendered)}" if rendered else ""
-        return [f"{unranked}{seen}; use more samples", *notes]
-
-    def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
-        """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""
-        leading = sorted(hiding, key=lambda row: -abs(row.effect))[:MOST_NAMED]
-        if len(hiding) > 1:  # a small effect in the noise says nothing
-            leading = [row for row in leading if abs(row.effect) > smallest]
-        named = [f"{in_words(row.label)} ({self._number(row)})" for row in leading]
-        which = named[0] if len(hiding) == 1 else pluralize(len(hiding), "parameter")
-        listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
-        all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
-        # One with a large error does not decide for the others.
-        first_told = math.inf
-        if leading and leading[0].effect:
-            first_told = self._more_samples(leading[0].effect_error or 0.0, abs(leading[0].effect))
-        if all_told <= MOST_SAMPLES:
-            remedy = f"{all_told:.0f} times the samples would tell"
-        elif first_told <= MOST_SAMPLES:
-            whom = in_words(leading[0].label)
-            remedy = f"{first_told:.0f} times the samples would tell of {whom}"
-        else:
-            remedy = "this cannot be resolved with a reasonable number of samples"
-        size = f"{rounded(smallest, 2)} {self._unit_of_effect()}".rstrip()
-        return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
-
-    def _more_samples(self, error: float, effect: float) -> float:
-        """Return how many times the samples would take an effect clear of its error."""
-        return math.ceil((self._allowed_errors() * error / effect) ** 2)
-
-    def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
-        """Return the effects that are stated, and the others that are not 0.
-
-        The noise of many parameters takes one of them beyond two standard errors, so the limit is that of all.
-        Also stated are effects whose sign a render of the change confirms, and those that are larger than another
-        and whose own sign is clear. What a render shows clear, but with the other sign, is neither.
-        """
-        allowed, rows = self._allowed_errors(), [row for row in self.attribution.ranking() if row.effect]
-        rendered = {one.name: one for one in self.changes if one.measured is not None and one.is_clear}
-        confirmed = {name for name, one in rendered.items() if (one.measured or 0.0) * one.predicted > 0}
-        stated = {row.name for row in rows if _exceeds(row, allowed) or row.name in confirmed}
-        unclear = [row for row in rows if row.name not in {*stated, *rendered}]
-        if stated and unclear:
-            smallest = min(abs(row.effect) for row in rows if row.name in stated)
-            own = self._quantile(CHANCE)
-            stated |= {row.name for row in unclear if abs(row.effect) > smallest and _exceeds(row, own)}
-        clear = [row for row in rows if row.name in stated]
-        return clear, [row for row in unclear if row.name not in stated]
-
-    def _allowed_errors(self) -> float:
-        """Return how many standard errors noise alone may reach at some effect, at 5 % for all together."""
-        noisy = sum(bool(row.effect_error) for row in self.attribution.ranking())
-        if not noisy:
-            return 0.0
-        return self._quantile(FALSE_ALARMS / noisy)
-
-    def _quantile(self, chance: float) -> float:
-        """Return the number of standard errors that noise alone exceeds with a probability."""
-        info = self.attribution.info
-        return student_t(1 - chance, info.get("degrees_of_freedom", info["replicates"] - 1))
-
     def _saturated(self) -> str:
         """Say that a share of points cannot rise or fall, if it is all or none of them; else nothing."""
         if self.definition is None:
@@ -580,8 +359,3 @@ class Explanation:
         if self.definition.counts_all:
             return "every point counts" if lower else "every point passes: nothing limits it"
         return ""
-
-
-def _exceeds(row: RankedParameter, errors: float) -> bool:
-    """Whether an effect is more than a number of standard errors from 0."""
-    return abs(row.effect) > errors * (row.effect_error or 0.0)

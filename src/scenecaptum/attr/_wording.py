@@ -7,8 +7,9 @@ from typing import Any
 
 import torch
 
+from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
-from ..visualization import format_with_error, rounded, signed_with_error
+from ..visualization import format_with_error, metric_unit, rounded, signed_with_error, unit_of_change
 from ._findings import Row
 
 _MAP_NDIM = 3
@@ -76,6 +77,32 @@ def percent(share: float, error: float) -> str:
 def signed(effect: float, error: float | None) -> str:
     """Return an effect with its sign and its error."""
     return signed_with_error(effect, error)
+
+
+def change_in_words(attribution: Attribution, change: float, error: float | None) -> str:
+    """Return a change of the metric with its sign and its unit."""
+    return f"{signed(change, error)} {_unit_of_change(attribution)}".rstrip()
+
+
+def effect_in_words(attribution: Attribution, row: RankedParameter) -> str:
+    """Return an effect with its unit."""
+    return f"{number_of_effect(attribution, row)} {unit_of_effect(attribution)}".rstrip()
+
+
+def number_of_effect(attribution: Attribution, row: RankedParameter) -> str:
+    """Return an effect without its unit; a square or a variance has no sign."""
+    write = signed if attribution.kind.has_sign else format_with_error
+    return write(row.effect, row.effect_error)
+
+
+def unit_of_effect(attribution: Attribution) -> str:
+    """Return the unit of the effects: that of the metric's changes, or its square."""
+    unit = _unit_of_change(attribution)
+    return unit if attribution.kind.has_sign or not unit else f"({unit})²"
+
+
+def _unit_of_change(attribution: Attribution) -> str:
+    return unit_of_change(metric_unit(attribution))
 
 
 def value_in_words(value: torch.Tensor) -> str:

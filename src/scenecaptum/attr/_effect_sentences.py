@@ -1,0 +1,264 @@
+"""Which effects an explanation states, and which it leaves to more samples."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from ..estimation import student_t
+from ..protocols import Attribution, RankedParameter
+from ..scene import pose_component
+from ..student import clear_from
+from ..visualization import (
+    caution_groups,
+    caution_marks,
+    pluralize,
+    range_marked,
+    range_notes,
+    rounded,
+    unit_notes,
+    untrusted_groups,
+)
+from ._findings import SIGNIFICANT, Change
+from ._wording import (
+    change_in_words,
+    effect_in_words,
+    in_words,
+    move,
+    number_of_effect,
+    signed,
+    step,
+    unit_of_effect,
+)
+
+FALSE_ALARMS = 0.05  # allowed for all effects together
+CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
+UNSURE_SIZE = "size uncertain"
+MOST_SAMPLES = 100  # times those of a result: more are no advice
+MOST_NAMED = 3  # of the effects that may be large
+
+
+@dataclass(frozen=True)
+class EffectSentences:
+    """The sentences on the effects of a result: those that are clear of the noise, and what it hides.
+
+    Attributes
+    ----------
+    attribution
+        The result.
+    changes
+        Single changes that were rendered.
+    count
+        The number of effects that are stated; with 0, nothing is said.
+    saturated
+        Why a share of points has no effect at all, if it has none; else empty.
+    """
+
+    attribution: Attribution
+    changes: tuple[Change, ...]
+    count: int
+    saturated: str
+
+    def lines(self) -> list[str]:
+        """Return the effects that are clear, each with its marks, and what these mean."""
+        if not self.count:
+            return []
+        clear, unclear = self._clear_and_unclear
+        if not clear and self.saturated:
+            return [self.saturated]
+        stated = clear[: self.count]
+        if not stated:
+            return []
+        marks, legend = self._marks([row.name for row in stated])
+        allowed = self._allowed_errors()
+        unsure = f"sign clear, {UNSURE_SIZE}" if self.attribution.kind.has_sign else UNSURE_SIZE
+        lines = [
+            f"{in_words(row.label)}: {effect_in_words(self.attribution, row)}{self._along(row.name)}"
+            f"{f' {marks[row.name]}' if row.name in marks else ''}"
+            f"{'' if _exceeds(row, allowed) else f' ({unsure})'}"
+            for row in stated
+        ]
+        above, below = self._larger_lines(unclear, abs(stated[0].effect))
+        return [*above, *lines, *below, *legend, *unit_notes(self.attribution, stated)]
+
+    def _marks(self, names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+        """Return the marks behind the effects of some parameters, and a line on each mark."""
+        notes = range_notes(self.attribution, among=names)
+        doubts = {
+            reason: whose
+            for reason, whose in untrusted_groups(self.attribution).items()
+            if {*whose} & {*names}
+        }
+        # No marks if all would have one.
+        partial = [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
+        cautions = caution_groups(self.attribution, names)
+        wrong = caution_marks(cautions)
+        marks = {name: wrong[reason] for reason, whose in cautions.items() for name in whose}
+        marks |= {name: f"{marks.get(name, '')}?" for whose in partial for name in whose}
+        marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(notes)}
+        legend = [
+            *(f"{mark} {reason}" for reason, mark in wrong.items()),
+            *(
+                f"? {reason}" if whose in partial else f"all parameters: {reason}"
+                for reason, whose in doubts.items()
+            ),
+            *(f"~ {note}" for note in notes),
+        ]
+        return marks, legend
+
+    def _larger_lines(
+        self, unclear: Sequence[RankedParameter], largest: float
+    ) -> tuple[list[str], list[str]]:
+        """Say which effects in the noise may exceed the largest that is stated: above those, or below.
+
+        It stands above them if one is larger by its value, too, and that is the one that is named.
+        """
+
+        def upper(row: RankedParameter) -> float:
+            return abs(row.effect) + SIGNIFICANT * (row.effect_error or 0.0)
+
+        larger = sorted((row for row in unclear if upper(row) > largest), key=upper, reverse=True)
+        if not larger:
+            return [], []
+        first = max(larger, key=lambda row: abs(row.effect))
+        is_largest = abs(first.effect) > largest
+        first, *others = [first, *(row for row in larger if row is not first)] if is_largest else larger
+        more = f" and {pluralize(len(others), 'other')}" if others else ""
+        named = f"{self._named(first)}{more}"
+        if is_largest:
+            return [f"the largest effect is uncertain: {named} may exceed those below"], []
+        return [], [f"also uncertain: {named} may exceed those above"]
+
+    def _along(self, name: str) -> str:
+        """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""
+        component = pose_component(name)
+        if component is None or self.attribution.scale_or_default() != "range":
+            return ""
+        return f" for {move(component, self.attribution.weights()[name], self.attribution.info.get('up'))}"
+
+    def unclear_lines(self) -> list[str]:
+        """Return how many effects are in the noise, and the samples that would resolve them."""
+        if not self.count:
+            return []
+        if self.attribution.covariance is None:
+            if all(row.effect == 0 for row in self.attribution.ranking()):
+                return []
+            return ["which effects are due to noise: there are no error bars"]
+        lines = [
+            f"{step(change)}: rendered again, the effect of "
+            f"{signed(change.measured or 0.0, change.measured_error)} is within its noise"
+            for change in self.changes
+            if not change.is_clear
+        ]
+        clear, unclear = self._clear_and_unclear
+        if not clear and self.saturated:
+            return lines
+        if not clear:
+            return [*lines, *self._unranked_lines(unclear)] if unclear else lines
+        smallest = min(abs(row.effect) for row in clear[: self.count])
+        # An effect as large as the smallest that is stated may hide in the error of another.
+        hiding = [
+            row for row in unclear if max(abs(row.effect), SIGNIFICANT * (row.effect_error or 0.0)) > smallest
+        ]
+        if hiding:
+            lines.append(self._hiding_line(hiding, smallest))
+        return [*lines, *self._lines_on_signs([row for row in unclear if row not in hiding], len(clear))]
+
+    def _lines_on_signs(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
+        """Name the effects that are not stated although their signs are clear in the table."""
+        errors = clear_from(self.attribution.info)
+        seen = [self._named(row) for row in rows if _exceeds(row, errors)]
+        if not seen or count >= self.count:
+            return []
+        clear = "clear in sign" if self.attribution.kind.has_sign else "above the noise"
+        more = f" and {pluralize(len(seen) - MOST_NAMED, 'other')}" if len(seen) > MOST_NAMED else ""
+        return [f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"]
+
+    def _unranked_lines(self, unclear: Sequence[RankedParameter]) -> list[str]:
+        """Say that no effect stands out among all of them, and which changes are clear, as rendered."""
+        unranked = (
+            f"which of {pluralize(len(unclear), 'parameter')} matter most: no effect is clear enough to rank"
+        )
+        notes: list[str] = []
+        if len(unclear) == 1:
+            (one,) = unclear
+            effect = f"its effect of {effect_in_words(self.attribution, one)} is not clear of its noise"
+            unranked = f"whether {in_words(one.label)} matters: {effect}"
+            notes = [f"! {reason}" for reason in caution_groups(self.attribution, [one.name])]
+        rendered = [
+            (in_words(one.label), change_in_words(self.attribution, one.measured, one.measured_error))
+            for one in self.changes
+            if one.measured is not None and one.is_clear
+        ]
+        listed = ", ".join(f"{whose} ({effect})" for whose, effect in rendered)
+        seen = f", but rendered changes are clear: {listed}" if rendered else ""
+        return [f"{unranked}{seen}; use more samples", *notes]
+
+    def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
+        """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""
+        leading = sorted(hiding, key=lambda row: -abs(row.effect))[:MOST_NAMED]
+        if len(hiding) > 1:  # a small effect in the noise says nothing
+            leading = [row for row in leading if abs(row.effect) > smallest]
+        named = [self._named(row) for row in leading]
+        which = named[0] if len(hiding) == 1 else pluralize(len(hiding), "parameter")
+        listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
+        all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
+        # One with a large error does not decide for the others.
+        first_told = math.inf
+        if leading and leading[0].effect:
+            first_told = self._more_samples(leading[0].effect_error or 0.0, abs(leading[0].effect))
+        if all_told <= MOST_SAMPLES:
+            remedy = f"{all_told:.0f} times the samples would tell"
+        elif first_told <= MOST_SAMPLES:
+            whom = in_words(leading[0].label)
+            remedy = f"{first_told:.0f} times the samples would tell of {whom}"
+        else:
+            remedy = "this cannot be resolved with a reasonable number of samples"
+        size = f"{rounded(smallest, 2)} {unit_of_effect(self.attribution)}".rstrip()
+        return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
+
+    def _named(self, row: RankedParameter) -> str:
+        return f"{in_words(row.label)} ({number_of_effect(self.attribution, row)})"
+
+    def _more_samples(self, error: float, effect: float) -> float:
+        """Return how many times the samples would take an effect clear of its error."""
+        return math.ceil((self._allowed_errors() * error / effect) ** 2)
+
+    @cached_property
+    def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
+        """Return the effects that are stated, and the others that are not 0.
+
+        The noise of many parameters takes one of them beyond two standard errors, so the limit is that of all.
+        Also stated are effects whose sign a render of the change confirms, and those that are larger than another
+        and whose own sign is clear. What a render shows clear, but with the other sign, is neither.
+        """
+        allowed, rows = self._allowed_errors(), [row for row in self.attribution.ranking() if row.effect]
+        rendered = {one.name: one for one in self.changes if one.measured is not None and one.is_clear}
+        confirmed = {name for name, one in rendered.items() if (one.measured or 0.0) * one.predicted > 0}
+        stated = {row.name for row in rows if _exceeds(row, allowed) or row.name in confirmed}
+        unclear = [row for row in rows if row.name not in {*stated, *rendered}]
+        if stated and unclear:
+            smallest = min(abs(row.effect) for row in rows if row.name in stated)
+            own = self._quantile(CHANCE)
+            stated |= {row.name for row in unclear if abs(row.effect) > smallest and _exceeds(row, own)}
+        clear = [row for row in rows if row.name in stated]
+        return clear, [row for row in unclear if row.name not in stated]
+
+    def _allowed_errors(self) -> float:
+        """Return how many standard errors noise alone may reach at some effect, at 5 % for all together."""
+        noisy = sum(bool(row.effect_error) for row in self.attribution.ranking())
+        if not noisy:
+            return 0.0
+        return self._quantile(FALSE_ALARMS / noisy)
+
+    def _quantile(self, chance: float) -> float:
+        """Return the number of standard errors that noise alone exceeds with a probability."""
+        info = self.attribution.info
+        return student_t(1 - chance, info.get("degrees_of_freedom", info["replicates"] - 1))
+
+
+def _exceeds(row: RankedParameter, errors: float) -> bool:
+    """Whether an effect is more than a number of standard errors from 0."""
+    return abs(row.effect) > errors * (row.effect_error or 0.0)
