@@ -660,3 +660,21 @@ def test_a_direction_that_jumps_is_left_out_where_others_matter_more(mi: Any) ->
     grouped = method.attribute(seed=shifted(), groups={"moved": [name]})
     assert grouped["moved"].shape == ()
     assert [row.name for row in grouped.ranking()] == ["moved"]
+
+
+def test_what_no_light_reaches_has_no_effect_when_it_moves(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two renders of its difference are equal but for rounding, which is neither an effect nor a jump."""
+    from scenecaptum.rendering._engine import Engine
+
+    def rounded(engine: Engine, *arguments: Any) -> torch.Tensor:
+        # As several threads sum a pixel, each time in another order.
+        image = primal(engine, *arguments)
+        return image * (1 + torch.finfo(image.dtype).eps * torch.randn(image.shape))
+
+    primal = Engine.primal
+    monkeypatch.setattr(Engine, "primal", rounded)
+    hidden = {"type": "cube", "to_world": _translate((0, 0, -5)).scale(0.2)}
+    renderer = SceneRenderer(scene(hidden=hidden), "hidden.pose.*", resolution=(16, 16), spp=16)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=seeds(1)[0])
+    assert all(not value.any() and not found.standard_error[name].any() for name, value in found.items())
+    assert "jumps" not in str(found)

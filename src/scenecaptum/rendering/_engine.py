@@ -42,6 +42,9 @@ from ._turning_camera import TurningCamera
 from .integrators.light_tracing import LightPaths
 from .integrators.path_differences import MovedMaterials, working_arrays
 
+# Relative: sums over two images that differ by less are those of equal images, but for rounding.
+EQUAL = 1e-7
+
 
 class Engine:
     """Renders a scene and its derivatives for given parameter values, by a plan and its integrator."""
@@ -199,14 +202,21 @@ class Engine:
         """Return the gradients of ``⟨adjoint, image⟩`` by a finite difference, one for each seed."""
         weighted = adjoint.double()
 
-        def products(point: torch.Tensor) -> torch.Tensor:
+        def products(point: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
             images = self._moved_images(name, difference, values, point, seeds, spp)
-            return torch.stack([(weighted * image).sum((0, 1)) for image in images])
+            sums = [
+                (one.sum((0, 1)), one.abs().sum((0, 1))) for one in (weighted * image for image in images)
+            ]
+            return torch.stack([total for total, _ in sums]), torch.stack([size for _, size in sums])
 
-        gradients: list[torch.Tensor] = [
-            _sum(products(point) * weight for point, weight in points)
-            for points in self._moved_points(difference, values[name])
-        ]
+        def gradient(points: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> torch.Tensor:
+            weights = [weight for _, weight in points]
+            totals, sizes = zip(*(products(point) for point, _ in points), strict=True)
+            total: torch.Tensor = _sum(map(operator.mul, totals, weights))
+            rounding = EQUAL * _sum(size * weight.abs() for size, weight in zip(sizes, weights, strict=True))
+            return torch.where(total.abs() > rounding, total, 0)
+
+        gradients = [gradient(points) for points in self._moved_points(difference, values[name])]
         if difference.by_element:
             totals = torch.stack([gradient.sum(-1) for gradient in gradients], 1)
             return totals.reshape(len(seeds), *values[name].shape)
