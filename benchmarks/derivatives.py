@@ -3,7 +3,8 @@
 The reference is independent: Mitsuba's own ``path`` or ``volpath`` renders the scene, loaded without this package,
 with the parameter moved up and down and common random numbers. Ours are measured twice: with independent samples
 in the backward pass, as in every attribution method, and by replay of the image's samples. The cache stores each
-finished case.
+finished case; plugins without a case in the cache keep their section of the page. A blend with a perfectly
+specular lobe is our own plugin in the reference, too: Mitsuba renders it wrongly.
 
     python benchmarks/derivatives.py [--only 'rough*'] [--quick] [--budget SECONDS] [--resume]
         [--write docs/derivatives.md]
@@ -18,6 +19,7 @@ import importlib.metadata
 import json
 import math
 import multiprocessing
+import re
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -116,12 +118,28 @@ def weights(width: int, height: int) -> np.ndarray[Any, Any]:
     return ((0.4 + 1.2 * u) * (1.4 - 0.8 * v) / (3 * width * height))[..., None]
 
 
+SPECULAR = {"conductor", "dielectric", "thindielectric", "plastic"}
+
+
+def _with_our_blends(scene: Any) -> Any:
+    """Return a scene in which each blend with a perfectly specular lobe is our plugin."""
+    if not isinstance(scene, Mapping):
+        return scene
+    built = {name: _with_our_blends(value) for name, value in scene.items()}
+    types = {value.get("type") for value in built.values() if isinstance(value, Mapping)}
+    if built.get("type") == "blendbsdf" and types & SPECULAR:
+        from scenecaptum.scene import _blend  # noqa: F401 -- registers the plugin
+
+        built["type"] = "scenecaptum_blendbsdf"
+    return built
+
+
 class MitsubaReference:
     """A scene in Mitsuba without this package: difference quotients of its images, and derivatives of ``prb``."""
 
     def __init__(self, case: Case) -> None:
         self._mi = activate()
-        built = case.build()
+        built = _with_our_blends(case.build())
         self._settings = built["integrator"]
         self._scene = self._mi.load_dict(built, optimize=False)
         self._integrator = self._scene.integrator()
@@ -506,8 +524,8 @@ compared with finite differences: **{summary}**.
 {overview}
 
 Known to be wrong, and marked with `!` in results: bump maps and normal maps where a bent normal turns away from
-the viewer, as on a floor seen from the side; and, not in the table, the texture that blends a perfectly specular
-material with another, whose sign may be wrong, too.
+the viewer, as on a floor seen from the side; and, not in the table, the texture that masks a perfectly specular
+material, whose sign may be wrong, too, and the texels of exactly 0 or 1 of one that blends it with another.
 
 *Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
 and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly
@@ -530,7 +548,8 @@ roughness, and 25 in the cases where 8 left a row unresolved.
 - *Difference* is the finite difference of the same number,
   from Mitsuba's own `path` or `volpath` (same depth, no Russian roulette) on a scene loaded without this package:
   of second order, with common random numbers, central or from above (↑) or below (↓), with the given step. Each is
-  a mean over at least {seeds} seeds ± its standard error.
+  a mean over at least {seeds} seeds ± its standard error. Blends with a perfectly specular lobe are our plugin
+  there, too: Mitsuba adds the probability of that lobe to densities, and renders them too dark.
 - *z* is their distance in standard errors, left out where both are 0 up to rounding; {bias:.1%} of the difference
   is added to the error for its step.
 - *Replay*, which is shown in wrong rows only, is our derivative without `seed_grad`, as in plain `backward()`: it
@@ -544,8 +563,11 @@ roughness, and 25 in the cases where 8 left a row unresolved.
 """
 
 
-def document(outcomes: Sequence[Outcome]) -> str:
-    """Return the table in Markdown."""
+def document(outcomes: Sequence[Outcome], page: str) -> str:
+    """Return the table in Markdown; the sections of plugins without outcomes are those of the page."""
+    measured = {outcome.plugin for outcome in outcomes}
+    kept = {plugin: text for plugin, text in _sections(page).items() if plugin not in measured}
+    outcomes = [*outcomes, *(row for plugin, text in kept.items() for row in _rows(plugin, text))]
     versions = " and ".join(f"{n} {importlib.metadata.version(n)}" for n in ("mitsuba", "drjit"))
     parts = [
         INTRODUCTION.format(
@@ -560,10 +582,38 @@ def document(outcomes: Sequence[Outcome]) -> str:
         + "; ".join(f"`{plugin}` ({why})" for plugin, why in WITHOUT_PARAMETERS.items())
         + ".\n",
     ]
-    for plugin in dict.fromkeys(outcome.plugin for outcome in outcomes):  # the cases of some are apart
-        group = [outcome for outcome in outcomes if outcome.plugin == plugin]
-        parts += ["\n".join((f"## {plugin}\n", *_table(group))) + "\n"]
+    for plugin in dict.fromkeys(case.plugin for case in CASES):  # the cases of some are apart
+        if plugin in kept:
+            parts += [f"## {plugin}\n{kept[plugin]}"]
+        elif group := [outcome for outcome in outcomes if outcome.plugin == plugin]:
+            parts += ["\n".join((f"## {plugin}\n", *_table(group))) + "\n"]
     return "\n".join(parts)
+
+
+def _sections(page: str) -> dict[str, str]:
+    """Return the text below the heading of each plugin."""
+    plugins = {case.plugin for case in CASES}
+    parts = (part.split("\n", 1) for part in page.split("\n## ")[1:])
+    return {name: f"{text.rstrip()}\n" for name, text in parts if name in plugins}
+
+
+def _rows(plugin: str, section: str) -> Iterator[Outcome]:
+    """Read the rows of a section, with the digits that it prints."""
+    for line in section.splitlines():
+        cells = [cell.strip() for cell in line.strip("| ").split(" | ")]
+        if len(cells) == len(HEADS) and cells[0].startswith("`"):
+            _, verdict, ours, stock, difference, _, step, _, scene = cells
+            read = {"ours": _estimate(ours), "stock": _estimate(stock), "difference": _estimate(difference)}
+            yield Outcome(f"{plugin}/{scene}", plugin, cells[0], None, step, verdict, **read)
+
+
+def _estimate(text: str) -> Any:
+    """Read a number with its error; None of a dash, and the text itself of another."""
+    found = re.fullmatch(r"\(?(-?[\d.]+)(?: ± ([\d.]+))?(?:\)e(-?\d+))?", text)
+    if found is None:
+        return None if text == "–" else text
+    factor = 10.0 ** int(found[3] or 0)
+    return Estimate(factor * float(found[1]), factor * float(found[2] or 0), 0)
 
 
 def overview(outcomes: Sequence[Outcome]) -> str:
@@ -658,7 +708,7 @@ def main() -> None:
     parser.add_argument("--resume", action="store_true", help="skip the cases in the cache")
     parser.add_argument("--ours", action="store_true", help="reuse the differences and prb of the cache")
     parser.add_argument(
-        "--write", type=Path, metavar="FILE", help="write the whole cache as a Markdown table"
+        "--write", type=Path, metavar="FILE", help="put the tables of the plugins in the cache into this page"
     )
     options = parser.parse_args()
 
@@ -680,7 +730,8 @@ def main() -> None:
     outcomes = outcomes_in(options.cache)
     print(summary(outcomes))
     if options.write:
-        options.write.write_text(document(outcomes))
+        page = options.write.read_text() if options.write.exists() else ""
+        options.write.write_text(document(outcomes, page))
 
 
 if __name__ == "__main__":

@@ -469,6 +469,15 @@ def _blends() -> list[Case]:
         ),
         balls(
             "blendbsdf",
+            "of mirror and rough",
+            (
+                _nested("blendbsdf", mirror, {"type": "roughplastic", "alpha": 0.3}, weight=0.4),
+                {"weight": 0.4, "bsdf_1.diffuse_reflectance": 0.5, "bsdf_1.eta": 1.49},
+            ),
+            (_nested("blendbsdf", mirror, rough, weight=0.4), {"bsdf_1.specular_reflectance": 1.0}),
+        ),
+        balls(
+            "blendbsdf",
             "of others",
             (_nested("blendbsdf", mirror, glass, weight=0.4), {"weight": 0.4, "bsdf_0.k": 3.0}),
             (
@@ -476,6 +485,7 @@ def _blends() -> list[Case]:
                 {"weight": 0.4, "bsdf_0.reflectance": 0.8},
             ),
             (lambda: _nested("blendbsdf", dark, bright, weight=picture(channels=1)), {"weight": 0.5}),
+            (lambda: _nested("blendbsdf", bright, mirror, weight=picture(channels=1)), {"weight": 0.5}),
         ),
     ]
 

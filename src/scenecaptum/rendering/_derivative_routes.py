@@ -238,7 +238,7 @@ def _reason_against_replay(parameter: Parameter, values: Values) -> str | None:
 
 
 def _blends_specular(p: Parameter, values: Values) -> bool:
-    return p.specular_inside and p.plugin in ("MaskBSDF", "BlendBSDF") and p.role in ("opacity", "weight")
+    return p.mixes_specular
 
 
 def _ior_near_one(p: Parameter, values: Values) -> bool:

@@ -245,8 +245,8 @@ def _make_differentiable(state: Any) -> None:
             props["format"] = "variant"
         if props.plugin_name() == "hdrfilm":
             props["pixel_format"] = "rgb"
-        if props.plugin_name() in ("plastic", "roughplastic", "dielectric"):
-            from . import _plastics, dielectric  # noqa: F401 -- registers the plugins
+        if props.plugin_name() in ("plastic", "roughplastic", "dielectric", "blendbsdf"):
+            from . import _blend, _plastics, dielectric  # noqa: F401 -- registers the plugins
 
             props.set_plugin_name(f"scenecaptum_{props.plugin_name()}")
         if props.plugin_name() == "scenecaptum_ies":

@@ -74,8 +74,8 @@ class Parameter:
         The materials, emitters or media that it belongs to.
     tracked
         Whether Dr.Jit can track its derivative; otherwise finite differences are used.
-    specular_inside
-        Whether it belongs to a material with a perfectly specular lobe.
+    mixes_specular
+        Whether it is the share of a perfectly specular lobe, in a plugin whose choice of lobes has no derivative.
     unknown_sampling
         Whether it belongs to such a plugin of the user, whose sampling may depend on it in unknown ways.
     is_used
@@ -102,7 +102,7 @@ class Parameter:
     range: Bounds
     owners: tuple[str, ...]
     tracked: bool = True
-    specular_inside: bool = False
+    mixes_specular: bool = False
     unknown_sampling: bool = False
     is_used: bool = True
     lobe_weight: bool = False

@@ -113,13 +113,13 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         range=effect_range,
         owners=graph.owners(node),
         tracked=tracked,
-        specular_inside=_is_specular(user),
+        mixes_specular=_mixes_specular(user, role),
         unknown_sampling=_is_foreign_and_specular(user),
         is_used=not isinstance(user, mi.BSDF) or bool(graph.shapes_using(node)),
         lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
         fault=fault,
         problem=problem or fault,
-        caution=None if problem else _caution(role, user, shape, value),
+        caution=None if problem else _caution(graph, role, user, shape, value),
     )
 
 
@@ -183,8 +183,13 @@ def _problem(
     return None
 
 
-def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | None:
-    """Return a known error in a texture's derivative; a texture is too large for finite differences."""
+def _caution(graph: SceneGraph, role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | None:
+    """Return a known error in a derivative that finite differences cannot replace."""
+    if any(_is_wrong_blend(node) for _, node in graph.path(user)[:-1]):
+        return (
+            "Mitsuba renders a blend with a perfectly specular material wrongly, and the derivative is of the "
+            "right image: load the scene from its file or dict, in which the blend is replaced"
+        )
     if _is_foreign_and_specular(user) and math.prod(shape) > MAX_DIFFERENCES:
         return (
             "it belongs to a specular plugin of yours: its derivative is right only for what weights a lobe"
@@ -194,9 +199,37 @@ def _caution(role: str, user: Any, shape: tuple[int, ...], value: Any) -> str | 
             "it bends normals: its derivative leaves out what appears or disappears where a bent normal turns "
             "away from the viewer, and is wrong for steep maps and at grazing views"
         )
-    if _is_array(value) and len(shape) > 1 and _is_specular(user) and role in ("opacity", "weight"):
+    if not _is_array(value) or len(shape) == 1 or not shape:
+        return None
+    if _mixes_specular(user, role):
         return "it blends a perfectly specular lobe with others: its derivative is biased, also in its sign"
+    if role == "weight" and _is_specular(user) and not _is_inside(value):
+        return (
+            "it blends a perfectly specular material with another: where it is 0 or 1 only one of them is "
+            "sampled, and its derivative leaves out the other"
+        )
     return None
+
+
+def _is_wrong_blend(node: Any) -> bool:
+    """Whether it is Mitsuba's own blend with a perfectly specular material, which an ``mi.Scene`` may have."""
+    return node.class_name() == "BlendBSDF" and _is_specular(node) and not _is_ours(node)
+
+
+def _mixes_specular(user: Any, role: str) -> bool:
+    """Whether it is the share of a perfectly specular lobe in one of Mitsuba's plugins.
+
+    Path replay does not differentiate the choice of the lobe there, unlike in our own plugin.
+    """
+    mixes = user.class_name() in ("MaskBSDF", "BlendBSDF") and role in ("opacity", "weight")
+    return mixes and _is_specular(user) and not _is_ours(user)
+
+
+def _is_inside(shares: Any) -> bool:
+    """Whether all texels are above 0 and below 1."""
+    import drjit as dr
+
+    return bool(dr.min(shares.array)[0] > 0 and dr.max(shares.array)[0] < 1)
 
 
 def _is_specular(user: Any) -> bool:
@@ -220,8 +253,12 @@ def _is_foreign_and_specular(user: Any) -> bool:
 
 def _has_untracked_tables(user: Any, role: str) -> bool:
     """Whether the plugin derives tables from it outside the derivative graph; our own plugin does not."""
-    ours = type(user).__module__.startswith(__package__)
-    return user.class_name() == "RoughPlastic" and role in ("alpha", "eta") and not ours
+    return user.class_name() == "RoughPlastic" and role in ("alpha", "eta") and not _is_ours(user)
+
+
+def _is_ours(user: Any) -> bool:
+    """Whether a plugin is one of this package that replaces one of Mitsuba's."""
+    return type(user).__module__.startswith(__package__)
 
 
 def _untracked_flags() -> int:
