@@ -99,6 +99,11 @@ def gradient_notes(attribution: Attribution) -> list[str]:
     return notes + _advice(attribution)
 
 
+def gradient_advice(attribution: Attribution) -> str:
+    """Return what the metric advises against large errors of its gradient; empty if nothing, or of differences."""
+    return "" if attribution.kind in OF_DIFFERENCES else str(attribution.info.get("advice") or "")
+
+
 def _advice(attribution: Attribution) -> list[str]:
     """Return what the metric advises against large errors, if the effects have them."""
     advice, errors = attribution.info.get("advice"), attribution.saliency_error()
