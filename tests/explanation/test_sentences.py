@@ -6,8 +6,10 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 import results
 import torch
+from seeds import shifted
 
 from scenecaptum.attr import Change, Definition, Explanation, Row, Source
 from scenecaptum.protocols import ResultKind
@@ -90,6 +92,18 @@ def test_a_change_that_is_not_linear_is_marked():
     assert not change(-1.4).is_linear
     (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-1.4),)))["What would change it"]
     assert line.endswith("predicted, not linear)")
+
+
+@pytest.mark.parametrize("replicates", [4, 8])
+def test_a_linear_change_is_hardly_ever_called_not_linear(replicates: int):
+    """Beyond two of their standard errors are 1 in 12 means of 8 replicates, and 1 in 7 of 4."""
+    draws = torch.randn(2000, replicates, generator=torch.Generator().manual_seed(shifted(0)))
+    means, errors = 1.4 + draws.mean(1), draws.std(1) / replicates**0.5
+    changes = [
+        dataclasses.replace(change(mean, error, predicted=1.4), degrees_of_freedom=replicates - 1)
+        for mean, error in zip(means.tolist(), errors.tolist(), strict=True)
+    ]
+    assert sum(not one.is_linear for one in changes) < 30  # 6 are expected, and 300 without Student's t
 
 
 def test_a_change_that_is_off_because_of_its_derivative_says_so():
