@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+DISAGREEMENT_LEVEL = 0.997  # confidence that a prediction and a measurement differ
 _ENOUGH_DEGREES = 7  # of the default number of replicates, 8
 
 

@@ -144,13 +144,15 @@ def test_integrated_gradients_of_a_network_advise_samples_of_the_pictures_too():
         large = {name: 1e6 * torch.eye(len(one)).double() for name, one in found.covariance.items()}
         found = dataclasses.replace(found, covariance=large)
         text = " ".join(str(found).split())
-        assert "smoothing=0.3" in text
+        assert "smoothing 0.3" in text
         assert ("picture_spp= in Python, --picture-spp on the command line" in text) is more
 
 
 def test_a_network_advises_smoothing_until_it_is_smoothed():
     network = metrics.ShapeClassifier.pretrained()
-    assert "smoothing=0.3" in (metrics.ClassLogit(network, "cube").advice or "")
+    advice = metrics.ClassLogit(network, "cube").advice or ""
+    assert "smoothing 0.3" in advice
+    assert "--" not in advice, "it is on HTML pages, too"
     assert metrics.ClassLogit(network, "cube", smoothing=0.3).advice is None
 
 

@@ -48,6 +48,12 @@ def test_the_rendered_effects_hold_at_another_seed(office: SceneRenderer, explai
         assert abs(z) < allowed(len(clear), 7), change.name
 
 
+def test_a_change_knows_the_replicates_of_its_errors():
+    renderer = SceneRenderer("cornell-box", "reflectance", resolution=(8, 8), spp=32, max_depth=3)
+    found = explain(renderer, metrics.MeanLuminance(), changes=1, replicates=4, seed=shifted())
+    assert [change.degrees_of_freedom for change in found.changes] == [3]
+
+
 def test_only_effects_that_are_clear_of_the_noise_are_stated(explained):
     text = explained.text(width=100)
     assert text.startswith("mean luminance = ")

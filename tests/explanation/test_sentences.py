@@ -6,8 +6,10 @@ import dataclasses
 from types import SimpleNamespace
 from typing import Any
 
+import pytest
 import results
 import torch
+from seeds import shifted
 
 from scenecaptum.attr import Change, Definition, Explanation, Row, Source
 from scenecaptum.protocols import ResultKind
@@ -90,6 +92,18 @@ def test_a_change_that_is_not_linear_is_marked():
     assert not change(-1.4).is_linear
     (line,) = lines(Explanation(rated(24.8, 0.05), changes=(change(-1.4),)))["What would change it"]
     assert line.endswith("predicted, not linear)")
+
+
+@pytest.mark.parametrize("replicates", [4, 8])
+def test_a_linear_change_is_hardly_ever_called_not_linear(replicates: int):
+    """Beyond two of their standard errors are 1 in 12 means of 8 replicates, and 1 in 7 of 4."""
+    draws = torch.randn(2000, replicates, generator=torch.Generator().manual_seed(shifted(0)))
+    means, errors = 1.4 + draws.mean(1), draws.std(1) / replicates**0.5
+    changes = [
+        dataclasses.replace(change(mean, error, predicted=1.4), degrees_of_freedom=replicates - 1)
+        for mean, error in zip(means.tolist(), errors.tolist(), strict=True)
+    ]
+    assert sum(not one.is_linear for one in changes) < 30  # 6 are expected, and 300 without Student's t
 
 
 def test_a_change_that_is_off_because_of_its_derivative_says_so():
@@ -234,7 +248,7 @@ def test_samples_are_advised_up_to_a_hundred_times_as_many():
 
     assert "times the samples would tell" in advice(0.1)
     assert advice(20.0).endswith(
-        "within the error; this cannot be resolved with a reasonable number of samples"
+        "within two errors; this cannot be resolved with a reasonable number of samples"
     )
 
 
@@ -283,7 +297,7 @@ def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_
     errors = {"other": torch.full((1, 1), 0.02**2)}
     found = dataclasses.replace(found, covariance={**found.covariance, **errors})
     (line,) = lines(Explanation(found))["Too noisy to say"]
-    assert line == "other (+0.040 ± 0.020) may have an effect of 0.01 or more within the error; " + (
+    assert line == "other (+0.040 ± 0.020) may have an effect of 0.01 or more within two errors; " + (
         "86 times the samples would tell"  # twice Student's t at 5 % / 21, 4.64, squared
     )
     assert effects_of(Explanation(found))[0] == (
@@ -339,11 +353,11 @@ def test_only_an_effect_that_is_larger_by_its_value_is_called_the_largest_one():
         "pane: +110 ± 20",
         "also uncertain: ceiling (+60 ± 29) may exceed those above",
     ]
-    (ranks,) = lines(Explanation(found))["Too noisy to say"]
-    signs = "ceiling (+60 ± 29), ground (+54 ± 20), cloth (−28 ± 9)"
-    assert ranks == f"how the others rank; clear in sign: {signs}"
+    hiding, ranks = lines(Explanation(found))["Too noisy to say"]
+    assert hiding.startswith("ceiling (+60 ± 29) may have an effect of 110 or more within two errors; ")
+    assert ranks == "how the others rank; clear in sign: ground (+54 ± 20), cloth (−28 ± 9)"
     # The reader asked for one, and got it.
-    assert "Too noisy to say" not in lines(Explanation(found, count=1))
+    assert lines(Explanation(found, count=1))["Too noisy to say"] == [hiding]
     # The one that is named is the largest one, not the one with the largest error.
     larger = with_errors(inputs | {"lamp": (130.0, 70.0), "wall": (5.0, 150.0)})
     assert effects_of(Explanation(larger))[0] == (
@@ -409,9 +423,39 @@ def test_the_largest_of_several_unclear_effects_are_named_with_the_samples_that_
     found = dataclasses.replace(found, covariance={**found.covariance, **covariance})
     (line,) = lines(Explanation(found))["Too noisy to say"]
     assert line == (
-        "5 parameters may have an effect of 0.1 or more within the error; the largest: pane (+1.2 ± 0.6), "
+        "5 parameters may have an effect of 0.1 or more within two errors; the largest: pane (+1.2 ± 0.6), "
         "door (−0.8 ± 0.4), desk (+0.40 ± 0.20); 4 times the samples would tell of pane"
     )
+
+
+def test_every_effect_that_two_errors_take_above_the_smallest_one_is_counted():
+    """By its value or by its error alone, none of sky, pot and rug would be."""
+    unclear = {"chair": (-1.1, 0.4), "sky": (0.6, 0.24), "pot": (0.56, 0.18), "rug": (0.4, 0.3)}
+    found = with_errors({"screen": (4.6, 0.6), "picture": (0.71, 0.02), **unclear, "book": (0.2, 0.2)})
+    (hiding,) = lines(Explanation(found))["Too noisy to say"]
+    named = "chair (−1.1 ± 0.4), sky (+0.60 ± 0.24), pot (+0.56 ± 0.18)"
+    assert hiding.startswith(
+        f"4 parameters may have an effect of 0.71 or more within two errors; the largest: {named}; "
+    )
+
+
+def test_a_rough_gradient_is_smoothed_where_more_samples_would_not_help():
+    network = {"gradient_note": "rough", "advice": "smooth it"}
+    many = of_range(**{f"wall_{index}": (torch.tensor(3e-3), torch.tensor(0.5)) for index in range(30)})
+    two = with_errors({"pane": (110.0, 20.0), "ceiling": (60.0, 29.0)})
+
+    def remedy(found: Any, **info: Any) -> str:
+        of_metric = dataclasses.replace(found, info={**found.info, **info})
+        (line,) = lines(Explanation(of_metric))["Too noisy to say"]
+        return line.rpartition("; ")[2]
+
+    assert (remedy(many), remedy(many, **network)) == ("use more samples", "smooth it")
+    assert "times the samples would tell" in remedy(two)
+    assert remedy(two, **network) == "smooth it"
+    # An ablation has no gradient.
+    assert remedy(many, **network, quantity=ResultKind.ABLATION.value) == "use more samples"
+    # What is advised of a function, which may contain a network or not, does not replace the number.
+    assert "times the samples would tell" in remedy(two, advice="use more samples")
 
 
 def test_markdown_has_the_same_sentences():

@@ -288,7 +288,10 @@ def test_invalid_input_is_refused():
     with pytest.raises(SceneCaptumError, match=r"not IntegratedGradientsScene's .* sensitivity_n"):
         infidelity(renderer, torch.mean, shares)
     for function in (sensitivity_n, deletion_insertion):
-        with pytest.raises(SceneCaptumError, match="Gradient per unit has no baselines"):
+        with pytest.raises(
+            SceneCaptumError,
+            match=r"^VanillaSceneGradient returns .* 'gradient per unit', but .* needs contributions",
+        ):
             function(renderer, torch.mean, gradient)
         for of_groups in (grouped, grouped_gradient):  # no method with groups= would do
             with pytest.raises(SceneCaptumError, match=r"'all', which is not an input.* without groups="):

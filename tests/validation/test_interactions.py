@@ -104,6 +104,26 @@ def test_products_with_noise_agree_within_their_errors(metric):
         assert error.max() < 0.2 * max(exact.abs().max(), 0.01), f"{name}: an error so large shows nothing"
 
 
+def test_the_draws_of_a_smoothed_metric_are_split_among_the_replicates_and_in_the_errors():
+    renderer, direction = Bouncing(noise=0.0), DIRECTIONS[0]
+    evaluated = 0
+
+    def counted(image: torch.Tensor) -> torch.Tensor:
+        nonlocal evaluated
+        evaluated += 1
+        return log_mean(image)
+
+    smoothed = metrics.Smoothed(counted, sigma=0.5, n=16)
+    a, b = (
+        hessian_vector_product(renderer, smoothed, direction, replicates=PASSES, seed=shifted(seed))
+        for seed in (0, 1000)
+    )
+    assert evaluated < 2 * 16 * 100, "with all draws in each replicate it is 150 of them in each product"
+    error = torch.hypot(a.standard_error["wall"], b.standard_error["wall"])
+    assert error.min() > 1e-4 * a["wall"].abs().max(), "renders have no noise, but the draws have"
+    assert ((a["wall"] - b["wall"]).abs() < allowed(PASSES, 3) * error).all()
+
+
 def test_standard_errors_are_the_spread_of_repeats():
     renderer = Bouncing(noise=1.0)
     gradient = VanillaSceneGradient(Bouncing(noise=0.0), log_mean).attribute()

@@ -16,6 +16,7 @@ from results import CASES, all_text, make, outside, surfaces
 
 from scenecaptum import Camera, SceneAttribution, SceneCaptumError, metrics
 from scenecaptum.projection import TexelMap
+from scenecaptum.protocols import ResultKind
 from scenecaptum.visualization import (
     LOWERS,
     RAISES,
@@ -269,6 +270,19 @@ def test_a_render_is_denoised_where_the_metric_image_was() -> None:
     for index in (1, 2):  # the map and its colours are the same
         assert all_text(for_the_eye.axes[index]) == all_text(figure.axes[index])
     assert np.array_equal(for_the_eye.axes[1].images[0].get_array(), figure.axes[1].images[0].get_array())
+
+
+@pytest.mark.parametrize("draw", [plot_heatmap, plot_overlay])
+@pytest.mark.parametrize("signed", [False, True])
+def test_maps_say_of_a_rough_gradient_what_bars_say(draw: Any, signed: bool) -> None:
+    def text(**info: Any) -> str:
+        found = make(gradient_note="a rough gradient", advice="smooth it", **info)
+        wide = {name: 1e4 * covariance for name, covariance in (found.covariance or {}).items()}
+        return all_text(draw(dataclasses.replace(found, covariance=wide), signed=signed))
+
+    assert "a rough gradient" in text()
+    assert "the errors are large: smooth it" in text()
+    assert "rough gradient" not in text(quantity=ResultKind.ABLATION.value)
 
 
 def test_maps_of_zeros_are_labelled() -> None:

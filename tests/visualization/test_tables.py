@@ -494,3 +494,20 @@ def test_a_pose_in_the_noise_says_why_its_effect_is_0(size, is_said):
         info={"metric": "Glare", "vectors": ["camera.translation"], "replicates": 8},
     )
     assert ("; 0: not above the noise" in " ".join(str(moved).split())) == is_said
+
+
+def test_a_difference_and_a_sum_name_the_methods_and_samples_of_both_sides() -> None:
+    first, second = make(), make(method="SmoothGradScene", spp=512)
+    few = make(method="SmoothGradScene", spp=512, replicates=4)
+
+    def header(attribution: SceneAttribution) -> str:
+        return " ".join(table_text(attribution).partition("parameter")[0].split())
+
+    both = "VanillaSceneGradient and SmoothGradScene · 64 and 512 spp in 8 replicates"
+    assert both in header(first - second)
+    assert both in header(first + second)
+    assert both in header((first - second) - first)
+    assert "64 spp in 8 replicates and 512 spp in 4 replicates" in header(first - few)
+    assert "VanillaSceneGradient · 64 spp in 8 replicates" in header(first - make(seed=1))
+    text = " ".join(all_text(plot_bars(first - second)).split())
+    assert both in text

@@ -91,6 +91,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error", "metric_bias", "proportional_errors")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
+    info["sampled"] = [list(one) for one in dict.fromkeys(_sampled(a) + _sampled(b))]
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)
@@ -101,6 +102,12 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     magnitude = abs(explained_a) + abs(explained_b)
     freedom = min(freedom_of(side.info) for side in (a, b))
     return info | convergence(delta, error, explained_a - explained_b, magnitude, freedom)
+
+
+def _sampled(a: AttributionData) -> list[tuple[Any, ...]]:
+    """Return method, samples and replicates of a result, or of the results that it was computed from."""
+    own = [[a.info.get(key) for key in ("method", "spp", "replicates")]]
+    return [tuple(one) for one in a.info.get("sampled") or own]
 
 
 class _Term(NamedTuple):

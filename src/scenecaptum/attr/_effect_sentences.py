@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import takewhile
 
 from ..estimation import student_t
 from ..protocols import Attribution, RankedParameter
@@ -14,6 +15,7 @@ from ..student import clear_from
 from ..visualization import (
     caution_groups,
     caution_marks,
+    gradient_advice,
     pluralize,
     range_marked,
     range_notes,
@@ -36,6 +38,7 @@ from ._wording import (
 FALSE_ALARMS = 0.05  # allowed for all effects together
 CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
 UNSURE_SIZE = "size uncertain"
+MORE_SAMPLES = "use more samples"
 MOST_SAMPLES = 100  # times those of a result: more are no advice
 MOST_NAMED = 3  # of the effects that may be large
 
@@ -115,11 +118,7 @@ class EffectSentences:
 
         It stands above them if one is larger by its value, too, and that is the one that is named.
         """
-
-        def upper(row: RankedParameter) -> float:
-            return abs(row.effect) + SIGNIFICANT * (row.effect_error or 0.0)
-
-        larger = sorted((row for row in unclear if upper(row) > largest), key=upper, reverse=True)
+        larger = sorted((row for row in unclear if _upper(row) > largest), key=_upper, reverse=True)
         if not larger:
             return [], []
         first = max(larger, key=lambda row: abs(row.effect))
@@ -158,13 +157,11 @@ class EffectSentences:
         if not clear:
             return [*lines, *self._unranked_lines(unclear)] if unclear else lines
         smallest = min(abs(row.effect) for row in clear[: self.count])
-        # An effect as large as the smallest that is stated may hide in the error of another.
-        hiding = [
-            row for row in unclear if max(abs(row.effect), SIGNIFICANT * (row.effect_error or 0.0)) > smallest
-        ]
+        hiding = sorted((row for row in unclear if _upper(row) > smallest), key=lambda row: -abs(row.effect))
+        named = self._named_of(hiding, smallest)
         if hiding:
-            lines.append(self._hiding_line(hiding, smallest))
-        return [*lines, *self._lines_on_signs([row for row in unclear if row not in hiding], len(clear))]
+            lines.append(self._hiding_line(hiding, named, smallest))
+        return [*lines, *self._lines_on_signs([row for row in unclear if row not in named], len(clear))]
 
     def _lines_on_signs(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
         """Name the effects that are not stated although their signs are clear in the table."""
@@ -194,37 +191,54 @@ class EffectSentences:
         ]
         listed = ", ".join(f"{whose} ({effect})" for whose, effect in rendered)
         seen = f", but rendered changes are clear: {listed}" if rendered else ""
-        return [f"{unranked}{seen}; use more samples", *notes]
+        return [f"{unranked}{seen}; {gradient_advice(self.attribution) or MORE_SAMPLES}", *notes]
 
-    def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
-        """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""
-        leading = sorted(hiding, key=lambda row: -abs(row.effect))[:MOST_NAMED]
-        if len(hiding) > 1:  # a small effect in the noise says nothing
-            leading = [row for row in leading if abs(row.effect) > smallest]
+    def _named_of(self, hiding: Sequence[RankedParameter], smallest: float) -> list[RankedParameter]:
+        """Return the effects that are named, of those that may be as large as the smallest that is stated."""
+        if len(hiding) == 1:
+            return [*hiding]
+
+        def says_something(row: RankedParameter) -> bool:
+            return abs(row.effect) > smallest or _exceeds(row, SIGNIFICANT)
+
+        return list(takewhile(says_something, hiding[:MOST_NAMED]))
+
+    def _hiding_line(
+        self, hiding: Sequence[RankedParameter], leading: Sequence[RankedParameter], smallest: float
+    ) -> str:
+        """Say which effects may be as large as the smallest that is stated, and what would tell.
+
+        ``leading`` are the largest of them that are named.
+        """
         named = [self._named(row) for row in leading]
         which = named[0] if len(hiding) == 1 else pluralize(len(hiding), "parameter")
         listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
+        size = f"{rounded(smallest, 2)} {unit_of_effect(self.attribution)}".rstrip()
+        remedy = self._remedy(hiding, leading, smallest)
+        return f"{which} may have an effect of {size} or more within two errors{listed}; {remedy}"
+
+    def _remedy(
+        self, hiding: Sequence[RankedParameter], leading: Sequence[RankedParameter], smallest: float
+    ) -> str:
+        """Return what would tell: the samples, but of a rough gradient what the metric advises."""
+        if self.attribution.info.get("gradient_note") and gradient_advice(self.attribution):
+            return gradient_advice(self.attribution)
         all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
+        if all_told <= MOST_SAMPLES:
+            return f"{all_told} times the samples would tell"
         # One with a large error does not decide for the others.
-        first_told = math.inf
         if leading and leading[0].effect:
             first_told = self._more_samples(leading[0].effect_error or 0.0, abs(leading[0].effect))
-        if all_told <= MOST_SAMPLES:
-            remedy = f"{all_told:.0f} times the samples would tell"
-        elif first_told <= MOST_SAMPLES:
-            whom = in_words(leading[0].label)
-            remedy = f"{first_told:.0f} times the samples would tell of {whom}"
-        else:
-            remedy = "this cannot be resolved with a reasonable number of samples"
-        size = f"{rounded(smallest, 2)} {unit_of_effect(self.attribution)}".rstrip()
-        return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
+            if first_told <= MOST_SAMPLES:
+                return f"{first_told} times the samples would tell of {in_words(leading[0].label)}"
+        return "this cannot be resolved with a reasonable number of samples"
 
     def _named(self, row: RankedParameter) -> str:
         return f"{in_words(row.label)} ({number_of_effect(self.attribution, row)})"
 
-    def _more_samples(self, error: float, effect: float) -> float:
-        """Return how many times the samples would take an effect clear of its error."""
-        return math.ceil((self._allowed_errors() * error / effect) ** 2)
+    def _more_samples(self, error: float, effect: float) -> int:
+        """Return how many times the samples would take an effect clear of its error, at least 2."""
+        return max(2, math.ceil((self._allowed_errors() * error / effect) ** 2))
 
     @cached_property
     def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
@@ -257,6 +271,11 @@ class EffectSentences:
         """Return the number of standard errors that noise alone exceeds with a probability."""
         info = self.attribution.info
         return student_t(1 - chance, info.get("degrees_of_freedom", info["replicates"] - 1))
+
+
+def _upper(row: RankedParameter) -> float:
+    """Return how large an effect may be within two standard errors."""
+    return abs(row.effect) + SIGNIFICANT * (row.effect_error or 0.0)
 
 
 def _exceeds(row: RankedParameter, errors: float) -> bool:

@@ -215,13 +215,21 @@ def _import_failure(package: str) -> str | None:
 
 
 def _reinstallation(package: str, torch: str | None) -> str:
-    """Return the command that installs a package again, torchvision in the build of the installed torch."""
+    """Return how to install a package again, torchvision in the build of the installed torch.
+
+    It is a command, but for a build that is not on PyPI: its index is not known here.
+    """
     pip = f"{Path(sys.executable).name} -m pip"
     if package != "torchvision" or torch is None:
         return f"{pip} install --force-reinstall --no-deps {package}"
     build = torch.partition("+")[2]  # such as cpu or cu128; none for wheels of PyPI
-    index = f" --index-url … (pytorch.org/get-started shows that of {build})" if build else ""
-    return f"{pip} uninstall -y torchvision && {pip} install torch=={torch} torchvision{index}"
+    removal = f"{pip} uninstall -y torchvision"
+    if not build:
+        return f"{removal} && {pip} install torch=={torch} torchvision"
+    return (
+        f"install torchvision and torch {torch} from the same index: pytorch.org/get-started shows the command "
+        f"for {build}. Before it: {removal}"
+    )
 
 
 def _installed(package: str) -> str | None:

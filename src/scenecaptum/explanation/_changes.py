@@ -66,7 +66,9 @@ def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> C
     changes = {change.name: change.after}
     images = scenes.render(changes)
     measured, error = scenes.difference(images, changes)
-    change = dataclasses.replace(change, measured=measured, measured_error=error)
+    change = dataclasses.replace(
+        change, measured=measured, measured_error=error, degrees_of_freedom=len(images) - 1
+    )
     if definition is None:
         return change
     changed = at_values(scenes.metric, scenes.renderer, {**scenes.values, **changes})

@@ -88,8 +88,8 @@ class NetworkMetric(torch.nn.Module, ABC):
         if self.noise is not None:
             return None
         return (
-            "the gradient of a network at a noisy image is rough; smoothing=0.3 (of shape-logit: --smoothing 0.3) "
-            "gives one with smaller errors"
+            "the gradient of a network at a noisy image is rough; with smoothing 0.3, an option of the metric, it "
+            "has smaller errors"
         )
 
     def pictures(self, images: torch.Tensor) -> torch.Tensor:

@@ -39,8 +39,8 @@ def _models() -> ModuleType:
     except RuntimeError as error:  # 'operator torchvision::nms does not exist'
         raise SceneCaptumError(
             f"torchvision does not match the installed torch {torch.__version__}: {error}. Fix: install both for "
-            "the same device, from PyTorch's own index (pytorch.org/get-started shows the command): pip install "
-            "--force-reinstall torch torchvision --index-url …"
+            "the same device, from PyTorch's own index: pytorch.org/get-started shows the command. Before it: "
+            "pip uninstall -y torch torchvision"
         ) from error
     module: ModuleType = models
     return module

@@ -18,6 +18,7 @@ from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, corrected_and_error, student_t
 from ..protocols import Capabilities, Renderer
 from ..ranks import kendall_tau_of_pairs
+from ..student import DISAGREEMENT_LEVEL
 from ..visualization import (
     LOWERS,
     RAISES,
@@ -63,7 +64,6 @@ ROUNDING = 2.0**-14  # of the metric: smaller changes are mostly those of single
 MAX_BOUND_FRACTION = 0.99  # of the distance to a bound, since the bound itself may be unphysical
 AGREEMENT_TOLERANCE = 0.1  # relative difference that counts as agreement even where the errors are smaller
 SIGNIFICANCE_LEVEL = 0.95  # confidence that two predictions or measurements differ
-DISAGREEMENT_LEVEL = 0.997  # confidence that prediction and measurement differ
 MIN_KENDALL_TAU = 0.95
 _NAME_WIDTH, _NOTE_WIDTH = 36, 90
 _OUTCOMES = {

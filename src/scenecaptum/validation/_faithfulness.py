@@ -212,8 +212,10 @@ def contributions(
     names = parameters_of(attribution, scenes.values)
     if "quantity" in attribution.info and not attribution.kind.is_contribution:
         raise SceneCaptumError(
-            f"{attribution.kind.value.capitalize()} has no baselines. Pass contributions, from "
-            "IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene or InputXGradientScene."
+            f"{attribution.info['method']} returns a result of the kind {attribution.kind.value!r}, but this "
+            "check replaces parameters by their baselines and needs contributions, which are relative to them. "
+            "Pass those of IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene or "
+            "InputXGradientScene."
         )
     resolved = resolve_baselines(scenes.renderer, scenes.values, baselines)
     deleted = {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}

@@ -120,7 +120,7 @@ def product_of(
     """Return the elements of ``H v`` for the named parameters; options as for ``VanillaSceneGradient``."""
     direction = _check_direction(direction, scenes.values)
     stencil = choose_stencil(scenes, direction)
-    slope = _slope(scenes.metric, stencil)
+    slope = _Slope(scenes.metric, stencil)
     renderer = _StencilRenderer(scenes, direction, stencil.offsets)
     values = {name: scenes.values[name] for name in names}
     product: SceneAttribution = VanillaSceneGradient(renderer, slope).attribute(
@@ -166,15 +166,27 @@ class _StencilRenderer:
         return [{**values, **_moved(values, self.direction, offset)} for offset in self.offsets]
 
 
-def _slope(metric: TargetedMetric, stencil: Stencil) -> Metric:
-    """Return the slope of a metric as a metric of its own, of the stack of images of a stencil."""
+class _Slope:
+    """The slope of a metric as a metric of its own, of the stack of images of a stencil.
 
-    def slope(images: torch.Tensor) -> torch.Tensor:
-        pairs = zip(stencil.weights, images, strict=True)
-        return torch.stack([weight * metric.metric(image) for weight, image in pairs]).sum(0)
+    Draws of noise are the same for all of its images, and are split among the replicates as those of the metric.
+    """
 
-    slope.__name__ = f"slope of {TargetedMetric(metric.metric).name}"
-    return slope
+    def __init__(self, metric: TargetedMetric, stencil: Stencil) -> None:
+        self.metric = metric
+        self.stencil = stencil
+        self.__name__ = f"slope of {TargetedMetric(metric.metric).name}"
+
+    def __call__(self, images: torch.Tensor) -> torch.Tensor:
+        pairs = zip(self.stencil.weights, images, strict=True)
+        return torch.stack([weight * self.metric.metric(image) for weight, image in pairs]).sum(0)
+
+    @property
+    def n_draws(self) -> int:
+        return self.metric.n_draws
+
+    def with_draws(self, draws: Mapping[int, int]) -> _Slope:
+        return _Slope(self.metric.with_draws(draws), self.stencil)
 
 
 def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:
@@ -189,10 +201,13 @@ def choose_stencil(scenes: Scenes, direction: Direction) -> Stencil:
         kind, step = CENTRAL, min(up, down)
     else:
         kind, step = ONE_SIDED, up if up > down else -down
+    known: dict[float, torch.Tensor] = {0.0: scenes.unmodified}
     for _ in range(MAX_STEP_REDUCTIONS):
         stencil = kind.scaled(step)
-        changes = [_moved(scenes.values, direction, offset) for offset in stencil.offsets]
-        measured = torch.stack([scenes.measure(change) for change in changes])
+        for offset in stencil.offsets:
+            if offset not in known:
+                known[offset] = scenes.measure(_moved(scenes.values, direction, offset))
+        measured = torch.stack([known[offset] for offset in stencil.offsets])
         slope, lower_order = (
             measured.new_tensor(weights) @ measured for weights in (stencil.weights, stencil.lower_order)
         )

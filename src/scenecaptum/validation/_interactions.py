@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import torch
+from tqdm import tqdm
 
 from ..attr import SceneAttribution, VanillaSceneGradient, range_lengths
 from ..checkpoint import Folder, with_checkpoint
@@ -60,6 +61,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     spp: int | None = None,
     replicates: int = DEFAULT_REPLICATES,
     checkpoint: Folder = None,
+    show_progress: bool = False,
 ) -> Interactions:
     """Return the second derivatives between the most salient parameters, from finite differences of gradients.
 
@@ -85,11 +87,14 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     attribution
         The plain gradients that give the ranking and the directions; computed by default.
     top
-        Number of parameters. Each costs the gradients of four scenes.
+        Number of parameters. Each costs the gradients of four scenes, with the samples of ``VanillaSceneGradient``
+        for each, and before these two to four renders of each replicate for every length of the step that is
+        tried, at most eight. The metric is evaluated as often as there are replicates, plus one, for each of these
+        scenes: of a smoothed network, with all of its draws, this takes most of the time.
     scale
         ``"unit"``: per unit step of both parameters. ``"range"``: times the physical ranges of both, which makes
         an albedo and a radiance comparable; an infinite range is replaced by the parameter's largest value.
-    seed, spp, replicates, checkpoint
+    seed, spp, replicates, checkpoint, show_progress
         As for ``ablation_test``.
 
     Returns
@@ -108,7 +113,9 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         raise SceneCaptumError(f'scale must be "unit" or "range", not {scale!r}.')
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
     if attribution is None:
-        attribution = VanillaSceneGradient(renderer, metric).attribute(target=target, **options)
+        attribution = VanillaSceneGradient(renderer, metric).attribute(
+            target=target, **options, show_progress=show_progress
+        )
     if not is_plain_gradient(attribution):
         raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
     scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
@@ -117,7 +124,8 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     directions = {name: u for name, u in uphill.items() if max(max_steps(scenes, {name: u})) > 0}
     if not directions:
         raise SceneCaptumError("All gradients are 0 or lead out of bounds: there is no direction to move in.")
-    products = [product_of(scenes, {name: u}, directions, **options) for name, u in directions.items()]
+    moves = tqdm(directions.items(), disable=not show_progress, desc="interactions", unit="parameter")
+    products = [product_of(scenes, {name: u}, directions, **options) for name, u in moves]
     lengths = range_lengths(renderer, {name: scenes.values[name] for name in directions})
     factors = torch.tensor([lengths[name].item() if scale == "range" else 1.0 for name in directions])
     both = torch.outer(factors, factors).double()

@@ -64,6 +64,7 @@ from ._notes import baseline_notes as baseline_notes
 from ._notes import caution_groups as caution_groups
 from ._notes import caution_marks as caution_marks
 from ._notes import convergence_notes as convergence_notes
+from ._notes import gradient_advice as gradient_advice
 from ._notes import group_notes as group_notes
 from ._notes import marked_doubts as marked_doubts
 from ._notes import noise_notes as noise_notes

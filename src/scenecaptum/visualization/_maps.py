@@ -36,7 +36,7 @@ from ._figures import (
     new_figure,
 )
 from ._layout import wrapped_lines
-from ._notes import caution_groups, doubt_notes, noise_notes
+from ._notes import caution_groups, doubt_notes, gradient_notes, noise_notes
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
     axis_label,
@@ -321,6 +321,7 @@ def _panels(
         pointing,
         method_name(attribution),
         *noise_notes(attribution),
+        *gradient_notes(attribution),
     ]
     line_length = characters_per_line(width - 0.2, SMALL)
     packed = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import first_few, group_by_text
@@ -16,14 +17,9 @@ _ROUNDING = 1e-6  # relative to the explained difference
 
 def sampling_notes(attribution: Attribution) -> list[str]:
     """Return notes on samples, goals, the metric image, interruption and missing error bars."""
-    spp, replicates = attribution.info.get("spp"), attribution.info.get("replicates")
-    counted = None if replicates is None else f"{replicates} replicate{'' if replicates == 1 else 's'}"
-    interrupted = attribution.info.get("interrupted", False)
-    notes = [] if spp is None else [f"{spp} spp"]
-    if interrupted:
-        notes.append(f"interrupted after {counted}" if counted else "interrupted")
-    elif counted:
-        notes = [f"{spp} spp in {counted}" if notes else counted]
+    replicates = attribution.info.get("replicates")
+    counted = None if replicates is None else pluralize(replicates, "replicate")
+    notes = _sample_counts(attribution.info)
     notes += goal_notes(attribution) + _comparison_notes(attribution)
     picture = attribution.info.get("picture") or {}
     if picture.get("denoised"):
@@ -32,6 +28,26 @@ def sampling_notes(attribution: Attribution) -> list[str]:
     if attribution.covariance is None:
         notes.append(f"no error bars: {counted}" if replicates == 1 else "no error bars")
     return notes
+
+
+def _sample_counts(info: Mapping[str, Any]) -> list[str]:
+    """Return ``["64 spp in 8 replicates"]``, or ``["64 and 512 spp in 8 replicates"]`` of two results."""
+    own = info.get("spp"), info.get("replicates")
+    pairs = list(dict.fromkeys((spp, count) for _, spp, count in info.get("sampled") or [(None, *own)]))
+    counts = list(dict.fromkeys(count for _, count in pairs))
+    spp = " and ".join(str(one) for one, _ in pairs if one is not None)
+    counted = None if counts == [None] else pluralize(counts[0], "replicate")
+    if len(counts) > 1:
+        each = [_sample_counts({"spp": one, "replicates": count}) for one, count in pairs]
+        return [" and ".join(text for texts in each for text in texts)]
+    if info.get("interrupted", False):
+        return [
+            *([f"{spp} spp"] if spp else []),
+            f"interrupted after {counted}" if counted else "interrupted",
+        ]
+    if counted:
+        return [f"{spp} spp in {counted}" if spp else counted]
+    return [f"{spp} spp"] if spp else []
 
 
 def noise_notes(attribution: Attribution) -> list[str]:
@@ -97,6 +113,11 @@ def gradient_notes(attribution: Attribution) -> list[str]:
     note = attribution.info.get("gradient_note")
     notes = [str(note)] if note and attribution.kind not in OF_DIFFERENCES else []
     return notes + _advice(attribution)
+
+
+def gradient_advice(attribution: Attribution) -> str:
+    """Return what the metric advises against large errors of its gradient; empty if nothing, or of differences."""
+    return "" if attribution.kind in OF_DIFFERENCES else str(attribution.info.get("advice") or "")
 
 
 def _advice(attribution: Attribution) -> list[str]:

@@ -58,8 +58,9 @@ def _measure(attribution: Attribution) -> Mapping[str, Any]:
 
 
 def method_name(attribution: Attribution) -> str:
-    """Return the name of the attribution method."""
-    return str(attribution.info.get("method", "unknown method"))
+    """Return the name of the attribution method; of a difference or sum, of both methods."""
+    methods = [method for method, *_ in attribution.info.get("sampled") or () if method]
+    return " and ".join(dict.fromkeys(methods)) or str(attribution.info.get("method", "unknown method"))
 
 
 def axis_label(
