@@ -344,8 +344,8 @@ def make_attribution(
             "unit_ranges": unit_ranges(renderer, values),
             # Only a linear metric grows with a light as its derivative at 0 says.
             "lights_off": [] if adjoints.bias_adjoint is None else lights_off(renderer, values),
-            "left_out": steps.left_out,
-            "left_out_notes": steps.notes,
+            "kept_directions": steps.kept_directions,
+            "left_out_directions": steps.left_out_directions,
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},
             "up": Capabilities(renderer).up,
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],

@@ -91,6 +91,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error", "metric_bias", "proportional_errors")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
+    info |= _without_derivative(a.info, b.info)
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)
@@ -101,6 +102,17 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     magnitude = abs(explained_a) + abs(explained_b)
     freedom = min(freedom_of(side.info) for side in (a, b))
     return info | convergence(delta, error, explained_a - explained_b, magnitude, freedom)
+
+
+def _without_derivative(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the poses, and the directions of others, that have no derivative on either side."""
+    one, other = (side.get("kept_directions", {}) for side in (a, b))
+    kept = {
+        name: [min(pair) for pair in zip(one.get(name, mask), other.get(name, mask), strict=True)]
+        for name, mask in {**one, **other}.items()
+    }
+    shared = {key: {**b.get(key, {}), **a.get(key, {})} for key in ("jumps", "left_out_directions")}
+    return {**shared, "kept_directions": kept}
 
 
 class _Term(NamedTuple):

@@ -24,7 +24,7 @@ from ._figures import (
 from ._finding import finding
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
-from ._notes import caution_groups, convergence_notes, doubt_notes, gradient_notes, noise_notes
+from ._notes import caution_groups, convergence_notes, doubt_notes, gradient_notes, jump_notes, noise_notes
 from ._text import FINDING_WIDTH, axis_label, method_name, metric_name, with_unit_of_effects
 
 if TYPE_CHECKING:
@@ -125,6 +125,7 @@ def _footnotes(
     pairs = list(zip(attributions, rows, strict=True))
     notes = _notes_of_results(attributions)
     notes += [f"! {note}" for one, ranked in pairs for note in _cautions(one, ranked)]
+    notes += [note for one in attributions for note in jump_notes(one)]
     notes += [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
     notes += _doubts(attributions, rows)
     return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
