@@ -190,9 +190,9 @@ def _unchanged(attribution: Attribution) -> str:
     names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
     rows = [name for name in names if name in attribution]
     if not rows:
-        return f" ({pluralize(len(names), 'input')} unchanged)" if names else ""
+        return f"; unchanged in these groups: {pluralize(len(names), 'input')}" if names else ""
     named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
-    return f" ({'its' if len(rows) == 1 else 'their'} 0 says nothing: {named})"
+    return f"; unchanged, so that {'its' if len(rows) == 1 else 'their'} 0 says nothing: {named}"
 
 
 def _comparison_notes(attribution: Attribution) -> list[str]:
