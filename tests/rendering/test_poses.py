@@ -727,7 +727,7 @@ def test_a_direction_that_jumps_has_no_part_in_the_effect_and_its_error(mi: Any)
 def test_where_nothing_has_a_derivative_every_form_says_why(mi: Any, tmp_path: Path) -> None:
     from results import all_text
 
-    from scenecaptum import explanation, report, validation
+    from scenecaptum import explanation, optimize, report, validation
 
     renderer, metric = below_a_ceiling(beside=0.0), metrics.MeanLuminance()
     found = VanillaSceneGradient(renderer, metric).attribute(seed=shifted())
@@ -741,6 +741,9 @@ def test_where_nothing_has_a_derivative_every_form_says_why(mi: Any, tmp_path: P
         assert "all effects are 0" not in text
     report.write_report([found], tmp_path / "page.html")
     assert said in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert found.to_dataframe().empty
+    assert said in message(lambda: optimize.minimize(renderer, metric, below=0.0, spp=16, seed=shifted()))
+    assert said in message(lambda: validation.interactions(renderer, metric, found))
     report.write_json(found, tmp_path / "numbers.json")
     report.write_csv(found, tmp_path / "numbers.csv")
     assert said in str(explanation.explain(renderer, metric, changes=1, spp=16, seed=shifted()).sections())

@@ -122,7 +122,8 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     directions = {name: u for name, u in uphill.items() if max(max_steps(scenes, {name: u})) > 0}
     if not directions:
         jumps = [note.lstrip("– ") for note in jump_notes(attribution)]
-        none = "All gradients are 0 or lead out of bounds: there is no direction to move in"
+        others = "All gradients are 0 or lead out of bounds: " if attribution.ranking() or not jumps else ""
+        none = f"{others}there is no direction to move in" if others else "There is no direction to move in"
         raise SceneCaptumError(f"{first_few([none, *jumps], '; ')}.")
     products = [product_of(scenes, {name: u}, directions, **options) for name, u in directions.items()]
     lengths = range_lengths(renderer, {name: scenes.values[name] for name in directions})

@@ -109,7 +109,8 @@ def plot_rank_comparison(
     common = [name for name in a if name in b and name not in jumps]
     if len(common) < 2:
         raise SceneCaptumError(
-            f"A comparison needs at least two parameters that both attributions have; these share {len(common)}."
+            f"A comparison needs at least two parameters that both attributions {'rank' if jumps else 'have'}; "
+            f"these share {len(common)}."
         )
     count = len(first(common, top))
     lines = _lines(a.labels, _ranks(a, common), _ranks(b, common), count)
