@@ -125,20 +125,20 @@ def _footnotes(
     pairs = list(zip(attributions, rows, strict=True))
     notes = _notes_of_results(attributions)
     notes += [f"! {note}" for one, ranked in pairs for note in _cautions(one, ranked)]
-    notes += [note for one in attributions for note in jump_notes(one)]
     notes += [f"~ {note}" for one, ranked in pairs for note in bar_notes(one, ranked, scale)]
     notes += _doubts(attributions, rows)
     return [part for note in dict.fromkeys(notes) for part in wrapped_lines(note, width, 2)]
 
 
 def _notes_of_results(attributions: Sequence[Attribution]) -> list[str]:
-    """Return the cautions of results and what their error bars are; what not all share begins with its column."""
+    """Return notes on results, and what their error bars are; what not all share begins with its column."""
     columns: dict[str, list[str]] = {}
     for name, one in zip(_column_names(attributions), attributions, strict=True):
         bars = [] if one.covariance is None else ["error bars: ± 1 standard error"]
         adds_up = one.info.get("convergence") in (None, "adds up")
         converges = [] if adds_up else convergence_notes(one)
-        for note in [*bars, *noise_notes(one), *gradient_notes(one), *converges]:
+        jumps = [note.lstrip("– ") for note in jump_notes(one)]
+        for note in [*bars, *noise_notes(one), *gradient_notes(one), *converges, *jumps]:
             columns.setdefault(note, []).append(name)
     return _after_columns(columns, len(attributions))
 
