@@ -138,9 +138,23 @@ def test_inputs_that_the_default_baselines_leave_unchanged_are_named(mi, method)
     attribution = method(renderer, torch.mean).attribute(seed=shifted())
     assert attribution.info["baselines"]["short_box_shape.bsdf.alpha.value"] == "unchanged"
     defaults = "compared with: lights and reflectances 0, all other inputs unchanged"
-    note = f"{defaults} (its 0 says nothing: {attribution.labels[inputs[0]]})"
+    note = f"{defaults}; unchanged, so that its 0 says nothing: {attribution.labels[inputs[0]]}"
     for text in (table_text(attribution), all_text(plot_bars(attribution))):
         assert note in " ".join(text.split())
+
+
+def test_inputs_that_a_mapping_leaves_unchanged_are_named_apart_from_the_defaults(mi):
+    scene = {**BUNDLED["cornell-box"](), "metal": {"type": "roughconductor", "alpha": 0.3}}
+    scene["short_box_shape"] = {**scene["short_box_shape"], "bsdf": {"type": "ref", "id": "metal"}}
+    metal = [f"short_box_shape.bsdf.{name}.value" for name in ("alpha", "eta", "k")]
+    renderer = SceneRenderer(scene, [*metal, FLOOR, LIGHT], resolution=(4, 4), spp=16, max_depth=3)
+    attribution = FeatureAblationScene(renderer, torch.mean).attribute(baselines={metal[0]: 0.5})
+    labels = renderer.labels
+    note = (
+        f"{labels[metal[0]]} 0.5; {DEFAULTS}; unchanged, so that their 0 says nothing: {labels[metal[1]]}; "
+    )
+    for text in (table_text(attribution), all_text(plot_bars(attribution))):
+        assert note + labels[metal[2]] in " ".join(text.split())
 
 
 def test_groups_count_the_inputs_that_are_unchanged():
@@ -148,7 +162,8 @@ def test_groups_count_the_inputs_that_are_unchanged():
     kept = {"x": room.inputs["x"], "y": 0.5, "map": 0.25}
     groups = {"all of it": ["x", "y", "map"]}
     attribution = FeatureAblationScene(room, torch.mean).attribute(baselines=kept, groups=groups, spp=16)
-    assert "y 0.5; map 0.25; all other inputs unchanged (1 input unchanged)" in table_text(attribution)
+    note = "y 0.5; map 0.25; all other inputs unchanged; unchanged in these groups: 1 input"
+    assert note in " ".join(table_text(attribution).split())
 
 
 def test_default_baselines_are_the_same_of_a_scene_with_an_input_at_0():

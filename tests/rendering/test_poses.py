@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from scenecaptum import (
 )
 
 Config = dict[str, Any]
+LAMP = "lamp.pose.translation"
 
 TRANSLATION, ROTATION, SCALE = (0.2, -0.1, 0.15), (0.1, 0.3, -0.2), 0.2
 
@@ -53,6 +55,18 @@ def _turned() -> tuple[list[float], float]:
     """Return the axis and the angle in degrees of the rotation above."""
     angle = math.hypot(*ROTATION)
     return [x / angle for x in ROTATION], math.degrees(angle)
+
+
+def _rotate(axis: tuple[float, float, float], degrees: float) -> Any:
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f().rotate(axis, degrees)
+
+
+def _look_at(*places: tuple[float, float, float]) -> Any:
+    import mitsuba as mi
+
+    return mi.ScalarTransform4f().look_at(*places)
 
 
 def _translate(by: tuple[float, float, float]) -> Any:
@@ -649,8 +663,8 @@ def test_a_direction_that_jumps_is_left_out_where_others_matter_more(mi: Any) ->
     info = {
         **found.info,
         "jumps": {},
-        "left_out": {name: [1.0, 1.0, 0.0]},
-        "left_out_notes": {name: "it jumps"},
+        "kept_directions": {name: [1.0, 1.0, 0.0]},
+        "left_out_directions": {name: "it jumps"},
     }
     marked = dataclasses.replace(found, info=info)
     assert marked.factors()[name][2] == 0
@@ -660,6 +674,106 @@ def test_a_direction_that_jumps_is_left_out_where_others_matter_more(mi: Any) ->
     grouped = method.attribute(seed=shifted(), groups={"moved": [name]})
     assert grouped["moved"].shape == ()
     assert [row.name for row in grouped.ranking()] == ["moved"]
+
+
+def below_a_ceiling(beside: float, inputs: Sequence[str] = (LAMP,)) -> Any:
+    """Return a renderer of the floor ``beside`` a lamp, which is 5 cm below a ceiling that it crosses."""
+    down = _rotate((1, 0, 0), 180)
+    return SceneRenderer(
+        {
+            "type": "scene",
+            "sensor": camera(to_world=_look_at((beside, 0, -1), (beside, 0, -2), (0, 1, 0))),
+            "ceiling": {"type": "rectangle", "to_world": down.scale(3)},
+            "floor": {"type": "rectangle", "to_world": _translate((0, 0, -2)).scale(3)},
+            "lamp": {
+                "type": "rectangle",
+                "to_world": _translate((0, 0, -0.05)) @ down.scale(0.2),
+                "emitter": {"type": "area", "radiance": 20.0},
+            },
+        },
+        inputs,
+        spp=64,
+        max_depth=2,
+    )
+
+
+def test_a_direction_that_jumps_has_no_part_in_the_effect_and_its_error(mi: Any) -> None:
+    """Along the ceiling the lamp has a derivative, which renders confirm; its fall through it has none."""
+    from scenecaptum import validation
+
+    renderer, metric = below_a_ceiling(beside=1.5), metrics.MeanLuminance()
+    found = VanillaSceneGradient(renderer, metric).attribute(seed=shifted())
+    assert found.info["kept_directions"] == {LAMP: [1.0, 1.0, 0.0]}
+    assert not found.info["left_out"], "that is of parameters of the scene"
+    effect, errors = found.effects()[LAMP], found.effects_error()
+    assert effect == pytest.approx(0.1 * float(found[LAMP][0]), rel=0.01)
+    assert errors is not None
+    assert errors[LAMP] < 0.02 * effect < 0.1 * 0.1 * float(found.standard_error[LAMP][2])
+    assert found.weights()[LAMP][2] == 0
+    assert not found.untrusted_errors()
+    assert "ceiling is near; this direction is left out" in " ".join(str(found).split())
+    assert "–" in next(line for line in str(found).splitlines() if line.startswith("1 ")), (
+        "a number without meaning"
+    )
+    twice = found + found
+    assert twice.effects_error()[LAMP] < 0.02 * twice.effects()[LAMP]
+    (row,) = validation.ablation_test(renderer, metric, found, seed=shifted()).rows
+    assert row.above_noise
+    assert row.agrees
+    planned = VanillaSceneGradient(renderer, metric).attribute(seed=shifted(), tolerance=0.05)
+    assert planned.info["planner"]["reached"]
+
+
+def test_where_nothing_has_a_derivative_every_form_says_why(mi: Any, tmp_path: Path) -> None:
+    from results import all_text
+
+    from scenecaptum import explanation, optimize, report, validation
+
+    renderer, metric = below_a_ceiling(beside=0.0), metrics.MeanLuminance()
+    found = VanillaSceneGradient(renderer, metric).attribute(seed=shifted())
+    reason = found.info["jumps"][LAMP]
+    said = f"lamp: translation is not ranked: {reason}; no derivative"
+    assert found.ranking() == []
+    figures = (found.plot_bars(), found.plot_heatmap(), found.plot_overlay(signed=True))
+    for text in (str(found), str(found.explain()), *map(all_text, figures)):
+        assert said in " ".join(text.split())
+        assert "depends on none" not in text
+        assert "all effects are 0" not in text
+    report.write_report([found], tmp_path / "page.html")
+    assert said in (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert found.to_dataframe().empty
+    assert said in message(lambda: optimize.minimize(renderer, metric, below=0.0, spp=16, seed=shifted()))
+    assert said in message(lambda: validation.interactions(renderer, metric, found))
+    report.write_json(found, tmp_path / "numbers.json")
+    report.write_csv(found, tmp_path / "numbers.csv")
+    assert said in str(explanation.explain(renderer, metric, changes=1, spp=16, seed=shifted()).sections())
+    verdict = validation.ablation_test(renderer, metric, found, seed=shifted()).verdict
+    assert verdict == f"Nothing to test: lamp: translation has no derivative: {reason}"
+
+
+def test_a_search_ends_where_nothing_has_a_derivative(mi: Any) -> None:
+    method = VanillaSceneGradient(below_a_ceiling(beside=0.0), metrics.MeanLuminance())
+    found = method.attribute(seed=shifted(), tolerance=1e-4)
+    planner = found.info["planner"]
+    assert len(planner["rounds"]) == 1
+    assert planner["reached"] is False
+    assert planner["stopped"] == "the lack of a derivative"
+    assert "half-widths" not in str(found)
+
+
+def test_a_group_is_the_sum_of_what_has_a_derivative(mi: Any) -> None:
+    renderer = below_a_ceiling(beside=0.0, inputs=[LAMP, "lamp.emitter.radiance.value"])
+    method = VanillaSceneGradient(renderer, metrics.MeanLuminance())
+    whole, together, apart = (
+        method.attribute(seed=shifted(), groups=groups)
+        for groups in (None, {"both": "lamp.*"}, {"moved": [LAMP], "light": "lamp.emitter.*"})
+    )
+    (light,) = whole.ranking()
+    assert light.name != LAMP
+    assert together.effects()["both"] == pytest.approx(light.effect, rel=1e-4)
+    assert "lamp: translation is left out of its group" in " ".join(str(together).split())
+    assert [row.name for row in apart.ranking()] == ["light"]
+    assert "moved is not ranked" in str(apart)
 
 
 def test_what_no_light_reaches_has_no_effect_when_it_moves(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:

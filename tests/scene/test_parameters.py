@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -325,6 +326,24 @@ def test_a_selection_of_the_sensor_is_told_how_the_camera_is_called(inputs: str)
 def test_a_misspelt_object_in_a_glob_is_told_its_name() -> None:
     said = message(lambda: select(discover_in("cornell-box"), "flor.*"))
     assert "Did you mean 'floor.*'" in said
+
+
+@pytest.mark.parametrize(
+    ("glob", "meant"),
+    [
+        ("*box.specular_reflectance*", "tall_box.reflectance.value"),
+        ("*.reflectanse.*", "reflectance"),
+        ("flor.reflectance*", "floor.reflectance*"),
+        ("ligt.*", "light.*"),
+        ("*.bsdf_9.*", ""),
+    ],
+)
+def test_a_glob_without_a_match_is_told_only_what_matches(glob: str, meant: str) -> None:
+    parameters = discover_in("cornell-box")
+    _, _, hint = message(lambda: select(parameters, glob)).partition("Did you mean ")
+    suggested = re.findall("'([^']*)'", hint.partition("?")[0])
+    assert all(select(parameters, one) for one in suggested)
+    assert meant in suggested if meant else not suggested
 
 
 def test_a_kind_without_parameters_is_named(mi: Any) -> None:

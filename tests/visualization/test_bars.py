@@ -151,6 +151,11 @@ def test_a_title_names_nothing_where_every_clear_effect_has_a_note(rows: Any) ->
     assert title.startswith("Glare: see the notes on the effects marked ~")
 
 
+def test_columns_say_which_of_them_has_a_pose_without_a_derivative() -> None:
+    both = [make(), make(metric="Other", jumps={"lamp": "it jumps"})]
+    assert "Other: lamp is not ranked: it jumps; no derivative" in all_text(plot_specificity(both))
+
+
 def test_bars_with_a_note_have_its_mark_in_every_figure() -> None:
     for figure in (plot_bars(overstated(METAL, DESK)), plot_specificity([overstated(METAL, DESK)])):
         assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == [

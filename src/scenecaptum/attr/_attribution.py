@@ -19,7 +19,7 @@ from ..estimation import Adjoints, GradientSum, scaled
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer, ResultKind, Scale
 from ..visualization import DEFAULT_TOP
-from ._data import AttributionData, Tensors, covariances, summarize
+from ._data import AttributionData, Ranked, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
 from ._ranges import extents, lights_off, unit_ranges
@@ -190,7 +190,7 @@ class SceneAttribution(AttributionData):
             raise SceneCaptumError(
                 "to_dataframe() needs pandas: pip install 'scenecaptum[frames]'"
             ) from error
-        return pandas.DataFrame([row._asdict() for row in self.ranking(scale=scale)]).set_index("rank")
+        return pandas.DataFrame(self.ranking(scale=scale), columns=Ranked._fields).set_index("rank")
 
     def save(self, path: str | os.PathLike[str] | BinaryIO, *, exact_texels: bool = False) -> None:
         """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.
@@ -344,8 +344,8 @@ def make_attribution(
             "unit_ranges": unit_ranges(renderer, values),
             # Only a linear metric grows with a light as its derivative at 0 says.
             "lights_off": [] if adjoints.bias_adjoint is None else lights_off(renderer, values),
-            "left_out": steps.left_out,
-            "left_out_notes": steps.notes,
+            "kept_directions": steps.kept_directions,
+            "left_out_directions": steps.left_out_directions,
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},
             "up": Capabilities(renderer).up,
             "vectors": [name for name in Capabilities(renderer).vectors or () if name in names],

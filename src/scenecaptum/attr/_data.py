@@ -137,9 +137,14 @@ class AttributionData(Mapping[str, torch.Tensor]):
             given = self.extents if chosen == "range" else self.parameter_values
             factors = {name: given[name].reshape(-1) for name in self}
         # Directions of poses without a derivative do not count.
-        left_out = self.info.get("left_out", {})
-        masks = {name: factors[name].new_tensor(left_out[name]) for name in self if name in left_out}
+        kept = self.info.get("kept_directions", {})
+        masks = {name: factors[name].new_tensor(mask) for name, mask in kept.items() if name in factors}
         return {**factors, **{name: factors[name] * mask for name, mask in masks.items()}}
+
+    def with_derivative(self, name: str) -> torch.Tensor:
+        """Return an attribution that is 0 in the directions in which a pose has no derivative."""
+        kept = self.info.get("kept_directions", {}).get(name)
+        return self[name] if kept is None else self[name] * self[name].new_tensor(kept)
 
     def weights(self, scale: Scale | None = None) -> dict[str, torch.Tensor]:
         """Return a ``(C,)`` tensor for each parameter: its effect is the sum of its channels times these.

@@ -92,6 +92,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info = {key: value for key, value in a.info.items() if key not in not_shared}
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
     info["sampled"] = [list(one) for one in dict.fromkeys(_sampled(a) + _sampled(b))]
+    info |= _without_derivative(a.info, b.info)
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)
@@ -108,6 +109,17 @@ def _sampled(a: AttributionData) -> list[tuple[Any, ...]]:
     """Return method, samples and replicates of a result, or of the results that it was computed from."""
     own = [[a.info.get(key) for key in ("method", "spp", "replicates")]]
     return [tuple(one) for one in a.info.get("sampled") or own]
+
+
+def _without_derivative(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the poses, and the directions of others, that have no derivative on either side."""
+    one, other = (side.get("kept_directions", {}) for side in (a, b))
+    kept = {
+        name: [min(pair) for pair in zip(one.get(name, mask), other.get(name, mask), strict=True)]
+        for name, mask in {**one, **other}.items()
+    }
+    shared = {key: {**b.get(key, {}), **a.get(key, {})} for key in ("jumps", "left_out_directions")}
+    return {**shared, "kept_directions": kept}
 
 
 class _Term(NamedTuple):

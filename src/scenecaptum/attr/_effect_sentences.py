@@ -16,6 +16,7 @@ from ..visualization import (
     caution_groups,
     caution_marks,
     gradient_advice,
+    jump_notes,
     pluralize,
     range_marked,
     range_notes,
@@ -72,8 +73,9 @@ class EffectSentences:
         if not clear and self.saturated:
             return [self.saturated]
         stated = clear[: self.count]
+        jumps = self._jump_lines([row.name for row in stated])
         if not stated:
-            return []
+            return jumps
         marks, legend = self._marks([row.name for row in stated])
         allowed = self._allowed_errors()
         unsure = f"sign clear, {UNSURE_SIZE}" if self.attribution.kind.has_sign else UNSURE_SIZE
@@ -84,7 +86,16 @@ class EffectSentences:
             for row in stated
         ]
         above, below = self._larger_lines(unclear, abs(stated[0].effect))
-        return [*above, *lines, *below, *legend, *unit_notes(self.attribution, stated)]
+        return [*above, *lines, *below, *legend, *unit_notes(self.attribution, stated), *jumps]
+
+    def _jump_lines(self, stated: Sequence[str]) -> list[str]:
+        """Say which poses have no derivative, also of those that are stated in some directions, and why."""
+        jumps = self.attribution.info.get("jumps", {})
+        notes = [note.lstrip("– ") for note in jump_notes(self.attribution, {*jumps, *stated})]
+        more = len(notes) - MOST_NAMED
+        return (
+            notes if more <= 0 else [*notes[:MOST_NAMED], f"{pluralize(more, 'other')} without a derivative"]
+        )
 
     def _marks(self, names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
         """Return the marks behind the effects of some parameters, and a line on each mark."""

@@ -157,7 +157,9 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
 
     Gradients are summed over the ranges of the members where these are known: they have no common unit.
     """
-    kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), attribution.weights()
+    kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), dict(attribution.weights())
+    jumps = attribution.info.get("jumps", {})
+    factors |= {name: 0 * factors[name] for name in jumps}  # without a derivative
 
     def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:
         return torch.stack([channel_totals(tensors[name]) @ factors[name] for name in names]).sum()
@@ -169,6 +171,11 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     }
     bias = None if attribution.bias is None else {g: total(attribution.bias, n) for g, n in members.items()}
     covariance = None if attribution.covariance is None else covariances(rows, bias)
+    # A group of nothing else is not ranked either.
+    without = {group: jumps[names[0]] for group, names in members.items() if all(n in jumps for n in names)}
+    hidden = {name for group in without for name in members[group]}
+    without |= {name: reason for name, reason in jumps.items() if name not in hidden}
+    noted = {*without, *attribution.info.get("left_out_directions", {})}
     return dataclasses.replace(
         attribution,
         attributions={group: total(attribution, names) for group, names in members.items()},
@@ -179,13 +186,16 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
         replicates=rows,
         covariance=covariance,
         extents={},
-        labels={group: attribution.labels.get(group, group) for group in members},
+        labels={
+            **{name: label for name, label in attribution.labels.items() if name in noted},
+            **{group: attribution.labels.get(group, group) for group in members},
+        },
         info={
             **attribution.info,
             "quantity": kind.value,
             "vectors": [],
-            "left_out": {},
-            "left_out_notes": {},
+            "jumps": without,
+            "kept_directions": {},
             "groups": {group: list(names) for group, names in members.items()},
         },
     )

@@ -215,7 +215,7 @@ class Run:
         mean = {name: scaled(value, 1 / total.weight) for name, value in total.mean.items()}
         samples = dict.fromkeys(names, float(spp))
         found = step_errors(self.renderer, mean, self.values, adjoint, samples, self.settings.seed)
-        return found.jumps, found.left_out
+        return found.jumps, found.kept_directions
 
     def _evaluations(
         self, sums: Sequence[GradientSum], gradients: GradientEstimator

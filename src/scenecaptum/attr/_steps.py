@@ -32,16 +32,17 @@ class StepErrors:
         Estimated errors of the gradients, due to their steps.
     jumps
         The poses without a derivative, each with the reason.
-    left_out
-        For other poses the directions without a derivative, which matter less than the others: 0 for these, or 1.
-    notes
-        The reasons why these directions are left out.
+    kept_directions
+        For other poses some directions of which have none: 1 for each direction that has one, or 0. The others
+        matter less than these, and are left out.
+    left_out_directions
+        The reasons why they are left out.
     """
 
     truncation: dict[str, torch.Tensor] = field(default_factory=dict)
     jumps: dict[str, str] = field(default_factory=dict)
-    left_out: dict[str, list[float]] = field(default_factory=dict)
-    notes: dict[str, str] = field(default_factory=dict)
+    kept_directions: dict[str, list[float]] = field(default_factory=dict)
+    left_out_directions: dict[str, str] = field(default_factory=dict)
 
 
 def step_errors(
@@ -84,8 +85,8 @@ def step_errors(
             continue
         reason = _reason(renderer, name, is_far)
         if gradient[is_far].norm() < gradient[~is_far].norm():
-            found.left_out[name] = (~is_far).double().tolist()
-            found.notes[name] = reason
+            found.kept_directions[name] = (~is_far).double().tolist()
+            found.left_out_directions[name] = reason
         else:
             found.jumps[name] = reason
     return found

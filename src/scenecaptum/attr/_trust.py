@@ -49,7 +49,9 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
         # Exactly 0 in all samples is a result, if there are samples. That of a difference may be x − x.
         and not (count >= 1 and "minus" not in attribution.info and _is_exactly_zero(attribution, name))
     }
-    for name, rows in attribution.replicates.items():
+    for name, all_rows in attribution.replicates.items():
+        kept = attribution.info.get("kept_directions", {}).get(name)
+        rows = all_rows if kept is None else all_rows * all_rows.new_tensor(kept)
         if has_dominating_replicate(rows, FALSE_ALARM_RATE / len(attribution)):  # Bonferroni correction
             reasons[name] = (
                 "one replicate has nearly all of the spread: a rare bright path, and others may be missing"

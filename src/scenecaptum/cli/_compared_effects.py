@@ -17,6 +17,7 @@ from ..visualization import (
     caution_groups,
     caution_marks,
     first_few,
+    jump_notes,
     metric_unit,
     pluralize,
     range_marked,
@@ -121,7 +122,7 @@ def effect_table(
 
 
 def not_compared(before: SceneAttribution, after: SceneAttribution, titles: Sequence[str]) -> list[str]:
-    """Return a sentence for the parameters that one of the results has alone, and one for other sizes."""
+    """Return sentences for the parameters that one of the results has alone, other sizes, and poses that jump."""
     sentences = []
     for one, other, title in ((before, after, titles[0]), (after, before, titles[1])):
         if alone := [name for name in one if name not in other]:
@@ -131,7 +132,10 @@ def not_compared(before: SceneAttribution, after: SceneAttribution, titles: Sequ
         sentences.append(
             f"{_named(before, sizes)} {_is(sizes)} of another size in {titles[1]}, and not compared"
         )
-    return sentences
+    jumps = _of_both(
+        titles, *({note.lstrip("– "): [] for note in jump_notes(one)} for one in (before, after))
+    )
+    return [*sentences, *jumps]
 
 
 def with_own_ranges(before: SceneAttribution, after: SceneAttribution) -> str:
@@ -186,6 +190,9 @@ def _first_order_change(
     for name in names:
         first, second = (side.parameter_values[name].reshape(-1).double() for side in (before, after))
         step = second - first
+        kept = one.info.get("kept_directions", {}).get(name) or [1] * len(step)
+        if any(length for length, is_kept in zip(step.tolist(), kept, strict=True) if not is_kept):
+            return None
         change += float(torch.tensor(totals[name], dtype=torch.float64) @ step)
         assert one.covariance is not None
         variance += float(step @ one.covariance[name].double() @ step)

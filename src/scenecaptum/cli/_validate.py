@@ -83,6 +83,8 @@ def _json(test: AblationTest) -> str:
         "confirmed": test.is_confirmed,
         "verdict": test.verdict,
         "kendall_tau": test.kendall_tau,
+        "jumps": dict(test.jumps),
+        "left_out": dict(test.left_out),
         "parameters": [dataclasses.asdict(row) for row in test.rows],
     }
     return json.dumps(numbers, indent=1, ensure_ascii=False, allow_nan=False)

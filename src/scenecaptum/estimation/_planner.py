@@ -110,6 +110,7 @@ class Planner:
         )
         self.prepare = prepare
         self.unranked = unranked
+        self.has_none = False  # nothing has a derivative
         self.changes: list[dict[str, Any] | None] = [None] * len(metrics)
         self.sums = [RoundSum(point.values) for _ in metrics]  # the gradients so far
         self.assessments: list[Assessment] = []
@@ -158,7 +159,7 @@ class Planner:
         for estimate, total in zip(estimates, self.sums, strict=True):
             total.add(estimate)
         self.assessments = self._assess()
-        if not self.round_seconds and self.unranked is not None and self.compared.members is None:
+        if not self.round_seconds and self.unranked is not None:
             self._exclude(self.unranked, replicates * spp)
             self.assessments = self._assess()
         seconds = self.time.now() - start
@@ -184,10 +185,13 @@ class Planner:
             factors |= {
                 n: factors[n] * factors[n].new_tensor(mask) for n, mask in kept.items() if n in factors
             }
-        if len(names) < len(self.point.values):
-            self.compared = dataclasses.replace(
-                self.compared, factors=factors or None, excluded=frozenset(names)
-            )
+        self.has_none = names >= self.point.values.keys()
+        if self.has_none:
+            return
+        if self.compared.members is not None:  # their sums are of all others
+            factors |= {n: torch.zeros_like(factors[n]) for n in names if n in factors}
+            names = set()
+        self.compared = dataclasses.replace(self.compared, factors=factors or None, excluded=frozenset(names))
 
     def _settled(self) -> frozenset[str]:
         """Return the parameters that need no more renders of their own: no metric's goal depends on them.
@@ -261,7 +265,7 @@ class Planner:
     def _next_size(self) -> tuple[int, int] | None:
         """Return the replicates of the next round and their spp, or None to stop."""
         sampled = self.sums[0].weight
-        is_reached = all(map(self.is_reached, self.assessments))
+        is_reached = self.has_none or all(map(self.is_reached, self.assessments))
         if is_reached or len(self.round_seconds) == MAX_ROUNDS or not self._remaining_spp():
             return None
         # The prediction is as uncertain as the errors that it is based on.
@@ -320,6 +324,8 @@ class Planner:
         """Return why the search ended."""
         if interrupted:
             return "interrupted"
+        if self.has_none:
+            return "the lack of a derivative"
         if all(map(self.is_reached, self.assessments)):
             return "goal"
         if len(self.round_seconds) == MAX_ROUNDS:
@@ -331,14 +337,15 @@ class Planner:
         assessment, budget = self.assessments[number], self.rounds.budget
         relative = assessment.relative_half_width
         has_goal = not (self.goal.tolerance is self.goal.top is None)
+        top = self.goal.top if assessment.degrees and not self.has_none else None
         rounds = zip(budget.replicates, budget.spp, self.round_seconds, strict=False)
         return {
             **dataclasses.asdict(self.goal),
             "level": LEVEL,
-            "reached": self.is_reached(assessment) if has_goal else None,
-            "relative_half_width": relative if math.isfinite(relative) else None,
-            "half_widths": assessment.half_widths,
-            "order": assessment.tiers(self.goal.top) if self.goal.top and assessment.degrees else None,
+            "reached": self.is_reached(assessment) and not self.has_none if has_goal else None,
+            "relative_half_width": relative if math.isfinite(relative) and not self.has_none else None,
+            "half_widths": {} if self.has_none else assessment.half_widths,
+            "order": assessment.tiers(top) if top else None,
             "rounds": [
                 {"replicates": replicates, "spp_per_replicate": spp, "seconds": seconds}
                 for replicates, spp, seconds in rounds

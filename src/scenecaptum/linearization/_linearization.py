@@ -241,7 +241,8 @@ class Linearization:
     @staticmethod
     def _known_rows(slider: Slider, attribution: SceneAttribution) -> torch.Tensor | None:
         """Return the gradient in every replicate of an attribution, per unit of the slider, if that has it."""
-        if slider.name not in attribution or slider.name in attribution.info.get("jumps", {}):
+        without = {*attribution.info.get("jumps", ()), *attribution.info.get("kept_directions", ())}
+        if slider.name not in attribution or slider.name in without:
             return None
         return slider.rows(attribution.replicates[slider.name].double())
 

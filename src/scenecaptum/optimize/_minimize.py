@@ -33,6 +33,7 @@ from ..estimation import (
     with_image_transform,
 )
 from ..protocols import Capabilities, Renderer
+from ..visualization import first_few, jump_notes
 from ._adam import BoundedAdam
 from ._bounds import Limit, brought_inside, chosen_limits, construction, first_of_each_light, lamps
 from ._result import Measured, Moved, Optimization
@@ -305,6 +306,8 @@ class Search:
 
     def _nothing_moves(self, metric: str) -> str:
         kept = [row.label for row in self._ranked.ranking() if any(row.total)]
+        if not kept and (jumps := jump_notes(self._ranked)):
+            return f"No parameter has a derivative: {first_few([note.lstrip('– ') for note in jumps], '; ')}."
         if not kept:
             return f"No parameter affects {metric}: all its gradients are 0."
         return f"{kept[0]} {KEPT_CONE} Add other inputs."

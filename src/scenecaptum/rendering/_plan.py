@@ -14,7 +14,7 @@ import torch
 
 from ..backend import activate
 from ..errors import SceneCaptumError
-from ..scene import SceneGraph, SceneParameters
+from ..scene import SceneGraph, SceneParameters, named_integrator
 from ..visualization import STYLE, first_few, group_by_text, html_cells, pluralize, terminal_width, wrap
 from ._derivative_routes import Routes, derivative_routes, low_roughness_names, noisy_roughness_names
 from ._integrators import INTEGRATORS, IntegratorKind, check_integrator, choose_integrator
@@ -257,7 +257,7 @@ def _unused_integrator(own: Any) -> dict[str, str]:
     if is_known and name in _EQUIVALENT_INTEGRATORS:
         return {}
     found = _OTHER_INTEGRATORS.get(name) if is_known else None
-    plugin, reason = found or (name, "path replay renders the radiance")
+    plugin, reason = found or (named_integrator(own) or name, "path replay renders the radiance")
     return {f"the scene's integrator {plugin!r} is not used": reason}
 
 

@@ -31,6 +31,8 @@ from ..visualization import (
     convergence_notes,
     group_notes,
     is_of_camera,
+    jump_notes,
+    kept_channels,
     method_name,
     metric_name,
     metric_symbol,
@@ -168,7 +170,8 @@ def describe_objects(
     view, shown = _view(surfaces)
     signed = []
     for attribution in attributions:
-        effects = attribution.effects()
+        jumps = attribution.info.get("jumps", {})
+        effects = {name: effect for name, effect in attribution.effects().items() if name not in jumps}
         used = used_by_objects(attribution, surfaces, effects)
         signed.append([sum(effects[name] for name in used[index]) for index in shown])
     parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
@@ -247,6 +250,7 @@ def _result(
         "groupNotes": group_notes(attribution, attribution),
         "cautions": list(cautions),
         "rangeNotes": list(of_range),
+        "jumps": jump_notes(attribution),
         "sceneCautions": scene_cautions(attribution),
         "doubts": list(untrusted),
         "rows": [
@@ -323,7 +327,7 @@ def _is_noise(attribution: Attribution, ranking: Sequence[RankedParameter], rows
     numbers: list[tuple[float, float | None]] = []
     for row in (ranking[index] for index in rows):
         if attribution.ranks_by_norm():
-            numbers += zip(row.total, row.total_error or [None] * len(row.total), strict=True)
+            numbers += kept_channels(attribution, row)
         else:
             numbers.append((row.effect, row.effect_error))
     errors = [error for _, error in numbers if error is not None]
@@ -336,6 +340,7 @@ def _is_noise(attribution: Attribution, ranking: Sequence[RankedParameter], rows
 
 def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
     errors: Sequence[float | None] = row.total_error or [None] * len(row.total)
+    kept = attribution.info.get("kept_directions", {}).get(row.name) or [1] * len(row.total)
     few = len(row.total) <= _MAX_CHANNELS
     members = (attribution.info.get("groups") or {}).get(row.name)
     return {
@@ -349,9 +354,17 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         if attribution.ranks_by_norm()
         else _format_signed(row.effect, row.effect_error),
         "sign": _SIGNS[color_of(row, attribution)],
-        "total": [_number(value) for value in row.total] if few else [],
-        "totalError": [_number(error) for error in errors] if few and row.total_error else [],
-        "totalWritten": [_format_signed(value, error) for value, error in zip(row.total, errors, strict=True)]
+        # A direction in which a pose has no derivative has no number.
+        "total": [_number(value) if k else None for value, k in zip(row.total, kept, strict=True)]
+        if few
+        else [],
+        "totalError": [_number(error) if k else None for error, k in zip(errors, kept, strict=True)]
+        if few and row.total_error
+        else [],
+        "totalWritten": [
+            _format_signed(value, error) if k else ("–", "")
+            for value, error, k in zip(row.total, errors, kept, strict=True)
+        ]
         if few
         else [],
         "seenThrough": bool({row.name, *(members or ())} & set(attribution.info.get("seen_through") or ())),

@@ -62,7 +62,8 @@ function drawRows(result, shown, handlers) {
   byId("rows").replaceChildren(...rows);
   if (rows.length) rows[0].tabIndex = 0;
   else {
-    const none = hasEffects(result) ? "No parameter matches the filter." : "No parameter has an effect.";
+    const without = result.jumps.length ? "No effect is ranked." : "No parameter has an effect.";
+    const none = hasEffects(result) ? "No parameter matches the filter." : without;
     byId("rows").append(make("tr", { class: "none" }, make("td", { colspan: 4 }, none)));
   }
   byId("count").textContent = shown.length === result.rows.length ? `${shown.length}` : `${shown.length} of ${result.rows.length}`;
@@ -93,7 +94,8 @@ function lettersOf(row) {
 
 function channelsOf(row) {
   if (row.channels > 4 || row.total.length === 0) return [make("span", { class: "muted" }, `${row.channels} numbers`)];
-  return row.total.map((value) => make("span", {}, value > 0 ? `+${brief(value, 3)}` : brief(value ?? NaN, 3)));
+  const written = (value) => (value === null ? "–" : value > 0 ? `+${brief(value, 3)}` : brief(value, 3));
+  return row.total.map((value) => make("span", {}, written(value)));
 }
 
 /** A bar as long as the saliency, with a whisker of one standard error to either side. */
@@ -152,6 +154,7 @@ function drawNotes(result) {
     const labels = result.rows.filter((row) => row.doubt === index).map((row) => row.label);
     return make("p", {}, make("span", { class: "mark caution" }, "?"), ` ${text} (${firstFew(labels)})`);
   }));
+  notes.push(...result.jumps.map((text) => make("p", {}, text)));
   notes.push(...cautioned(result.sceneCautions));
   notes.push(...result.rangeNotes.map((text) => make("p", {}, make("span", { class: "mark" }, "~"), ` ${text}`)));
   notes.push(...result.convergence.map((text) => make("p", {}, text)));

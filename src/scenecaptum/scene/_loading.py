@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from numbers import Real
 from pathlib import Path
 from typing import Any, TypeAlias
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from .bundled import BUNDLED
 
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
 XmlParameters: TypeAlias = "Mapping[str, str | float]"
+
+# Of loaded integrators that are written in Python, which do not know by which plugin a scene names them.
+_INTEGRATOR_PLUGINS: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
 
 
 def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any:
@@ -65,6 +69,12 @@ def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any
             'Add one, for example <sensor type="perspective">…</sensor>.'
         )
     return loaded
+
+
+def named_integrator(integrator: Any) -> str | None:
+    """Return the plugin by which a loaded scene names an integrator written in Python; None if it is not known."""
+    is_python = hasattr(integrator, "__weakref__")
+    return _INTEGRATOR_PLUGINS.get(integrator) if is_python else None
 
 
 def scene_name(scene: SceneLike) -> str:
@@ -203,6 +213,8 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
         mi.parser.transform_all(config, state)
         check_referenced_files(mi.file_resolver().resolve, state.nodes)
         name_nodes(state.nodes)
+        # Mitsuba does not know which kind of object a plugin written in Python is.
+        plugins = {node.props.id(): node.props.plugin_name() for node in state.nodes}
         _make_differentiable(state)
         with at_least_two_threads():
             loaded = mi.parser.instantiate(config, state)
@@ -220,6 +232,9 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
             '<scene version="3.0.0">…</scene>, or {"type": "scene", …}.'
         )
     _check_meshes(name, loaded)
+    integrator = loaded.integrator()
+    if hasattr(integrator, "__weakref__") and integrator.id() in plugins:
+        _INTEGRATOR_PLUGINS[integrator] = plugins[integrator.id()]
     return loaded
 
 

@@ -109,11 +109,20 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
 
 
 def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> str:
-    """Return ``' Did you mean …?'`` for the names and kinds closest to a name; for a glob, the closest owners."""
+    """Return ``' Did you mean …?'`` for the names and kinds closest to a name.
+
+    For a glob it suggests the globs with another owner that match something, and else the closest names.
+    """
     rest = item.partition(".")[2]
-    if "*" in rest:
-        return near_misses(item, [f"{name.partition('.')[0]}.{rest}" for name in known])
-    return near_misses(item, [*kinds, *known])
+    globs = {f"{name.partition('.')[0]}.{rest}" for name in known} if "*" in rest else set[str]()
+    matching = [glob for glob in sorted(globs) if any(_selects(glob, name) for name in known)]
+    return near_misses(item, matching) or near_misses(item.replace("*", ""), [*kinds, *known])
+
+
+def _selects(glob: str, name: str) -> bool:
+    """Whether a glob selects the parameter of a name: poses only where it names them."""
+    is_pose = ".pose." in name or name.startswith("camera.")
+    return fnmatchcase(name, glob) and (not is_pose or "pose" in glob or "fov" in glob)
 
 
 def _part_hint(parameters: SceneParameters, item: str) -> str:

@@ -6,13 +6,13 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tqdm import tqdm
 
-from ..attr import SceneAttribution, VanillaSceneGradient
+from ..attr import Ranked, SceneAttribution, VanillaSceneGradient
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Target, channel_totals, corrected_and_error, student_t
@@ -30,6 +30,7 @@ from ..visualization import (
     caution_marks,
     characters_per_line,
     figure_of,
+    first_few,
     format_with_error,
     grid,
     group_by_text,
@@ -153,16 +154,24 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
     slopes, errors = attribution.saliency("unit"), attribution.saliency_error("unit") or {}
     rows = [row for row in attribution.ranking(whole_number("top", top)) if slopes[row.name] > 0]
     cautions = attribution.info.get("cautions") or {}
+    jumps, left_out = (attribution.info.get(key, {}) for key in ("jumps", "left_out_directions"))
+    tested = {row.name for row in rows}
+
+    def ablated(row: Ranked) -> Ablated:
+        gradient = attribution.with_derivative(row.name)
+        result = _ablate(scenes, row, gradient, slopes[row.name], errors[row.name])
+        return dataclasses.replace(result, caution=cautions.get(row.name, ""))
+
     with tqdm(rows, disable=not show_progress, desc="ablation", unit="parameter") as bar:
         return AblationTest(
-            rows=tuple(
-                dataclasses.replace(
-                    _ablate(scenes, row, attribution[row.name], slopes[row.name], errors[row.name]),
-                    caution=cautions.get(row.name, ""),
-                )
-                for row in bar
-            ),
+            rows=tuple(map(ablated, bar)),
             metric=metric_name(attribution),
+            jumps={attribution.labels.get(name, name): reason for name, reason in jumps.items()},
+            left_out={
+                attribution.labels.get(name, name): reason
+                for name, reason in left_out.items()
+                if name in tested
+            },
         )
 
 
@@ -323,10 +332,16 @@ class AblationTest:
         One per parameter, in order of decreasing saliency.
     metric
         Name of the metric.
+    jumps
+        The reasons why poses have no derivative to test, by their labels.
+    left_out
+        The same of poses that are tested in their other directions.
     """
 
     rows: tuple[Ablated, ...]
     metric: str
+    jumps: Mapping[str, str] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def kendall_tau(self) -> float | None:
@@ -338,7 +353,7 @@ class AblationTest:
         rows = [row for row in self.rows if row.above_noise]
         pairs = torch.zeros(len(rows), len(rows), dtype=torch.bool)
         for a, b in itertools.combinations(range(len(rows)), 2):
-            pairs[a, b] = all(_is_resolved(rows[a], rows[b], field) for field in ("measured", "predicted"))
+            pairs[a, b] = all(_is_resolved(rows[a], rows[b], which) for which in ("measured", "predicted"))
         predicted, measured = [row.predicted for row in rows], [row.measured for row in rows]
         tau = kendall_tau_of_pairs(predicted, measured, pairs)
         return None if math.isnan(tau) else tau
@@ -354,6 +369,9 @@ class AblationTest:
     def verdict(self) -> str:
         """The result in one sentence."""
         measurable = [row for row in self.rows if row.above_noise]
+        if not self.rows and self.jumps:
+            reasons = [f"{label} has no derivative: {reason}" for label, reason in self.jumps.items()]
+            return f"Nothing to test: {first_few(reasons, '; ')}"
         if not self.rows:
             return f"Nothing to test: {self.metric} depends on none of these parameters"
         if not measurable:
@@ -371,6 +389,17 @@ class AblationTest:
             f"{agreeing} of {len(measurable)} parameters above the noise change {self.metric} as predicted; "
             f"{order}; {len(self.rows) - len(measurable)} below the noise{in_doubt}"
         )
+
+    def _untested(self) -> list[str]:
+        """Return why poses are not tested, or not in all directions; what the verdict says is left out."""
+        jumps = self.jumps.items() if self.rows else ()
+        return [
+            *(f"–  {label} is not tested: {reason}; no derivative" for label, reason in jumps),
+            *(
+                f"–  {label}: {reason}; this direction is not tested"
+                for label, reason in self.left_out.items()
+            ),
+        ]
 
     def _cautions(self) -> dict[str, str]:
         """Return the mark of each reason why derivatives are known to be wrong."""
@@ -397,7 +426,7 @@ class AblationTest:
             [f"{marks.get(row.caution, '')} {n}".strip() for row, n in zip(self.rows, names, strict=True)],
         )
         write_header(ax, "Ablation test", columns=2)
-        notes = [self.verdict, *(f"{mark} {text}" for text, mark in marks.items())]
+        notes = [self.verdict, *(f"{mark} {text}" for text, mark in marks.items()), *self._untested()]
         footnotes = [line for note in notes for line in wrapped_lines(note, _NOTE_WIDTH)]
         add_footnotes(ax, footnotes, below=34 + 13 * (len(lines) - 1))
         return figure_of(ax)
@@ -417,17 +446,17 @@ class AblationTest:
             ("moved along its gradient", "predicted slope", "measured slope", "step"), cells, right=True
         )
         remarks = ["", *(_remark(row) for row in self.rows)]
-        notes = [f"{mark} {text}" for text, mark in marks.items()]
+        notes = [*(f"{mark} {text}" for text, mark in marks.items()), *self._untested()]
         return "\n".join([*map(str.__add__, lines, remarks), *notes, "", self.verdict])
 
     __repr__ = __str__
 
 
-def _is_resolved(a: Ablated, b: Ablated, field: str) -> bool:
-    """Return whether a field of two rows differs significantly."""
-    error = math.hypot(getattr(a, f"{field}_error"), getattr(b, f"{field}_error"))
+def _is_resolved(a: Ablated, b: Ablated, which: str) -> bool:
+    """Return whether a field of two rows, ``which``, differs significantly."""
+    error = math.hypot(getattr(a, f"{which}_error"), getattr(b, f"{which}_error"))
     degrees = min(a.degrees_of_freedom, b.degrees_of_freedom)
-    return bool(abs(getattr(a, field) - getattr(b, field)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)
+    return bool(abs(getattr(a, which) - getattr(b, which)) > student_t(SIGNIFICANCE_LEVEL, degrees) * error)
 
 
 def _draw(ax: Axes, rows: tuple[Ablated, ...]) -> None:

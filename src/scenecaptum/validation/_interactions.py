@@ -23,7 +23,9 @@ from ..visualization import (
     add_footnotes,
     axes_or_new,
     figure_of,
+    first_few,
     grid,
+    jump_notes,
     metric_name,
     metric_unit,
     minus,
@@ -120,10 +122,16 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
     scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
-    uphill = {row.name: unit_gradient(attribution[row.name], scenes.values[row.name]) for row in rows}
+    uphill = {
+        row.name: unit_gradient(attribution.with_derivative(row.name), scenes.values[row.name])
+        for row in rows
+    }
     directions = {name: u for name, u in uphill.items() if max(max_steps(scenes, {name: u})) > 0}
     if not directions:
-        raise SceneCaptumError("All gradients are 0 or lead out of bounds: there is no direction to move in.")
+        jumps = [note.lstrip("– ") for note in jump_notes(attribution)]
+        others = "All gradients are 0 or lead out of bounds: " if attribution.ranking() or not jumps else ""
+        none = f"{others}there is no direction to move in" if others else "There is no direction to move in"
+        raise SceneCaptumError(f"{first_few([none, *jumps], '; ')}.")
     moves = tqdm(directions.items(), disable=not show_progress, desc="interactions", unit="parameter")
     products = [product_of(scenes, {name: u}, directions, **options) for name, u in moves]
     lengths = range_lengths(renderer, {name: scenes.values[name] for name in directions})

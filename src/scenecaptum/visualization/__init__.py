@@ -66,6 +66,8 @@ from ._notes import caution_marks as caution_marks
 from ._notes import convergence_notes as convergence_notes
 from ._notes import gradient_advice as gradient_advice
 from ._notes import group_notes as group_notes
+from ._notes import jump_notes as jump_notes
+from ._notes import kept_channels as kept_channels
 from ._notes import marked_doubts as marked_doubts
 from ._notes import noise_notes as noise_notes
 from ._notes import sampling_notes as sampling_notes

@@ -35,7 +35,9 @@ from ._notes import (
     baseline_notes,
     caution_groups,
     convergence_notes,
+    jump_notes,
     marked_doubts,
+    note_of_none,
     sampling_notes,
     scene_cautions,
     unit_notes,
@@ -216,14 +218,14 @@ def _footnotes(
     width: int,
 ) -> list[str]:
     """Return the footnotes in lines of at most ``width`` characters."""
-    hidden = len(attribution) - len(rows)
+    hidden = len(attribution.ranking()) - len(rows)
     notes = [
         method_name(attribution),
         *sampling_notes(attribution),
         *convergence_notes(attribution),
         *unit_notes(attribution, rows, scale),
         "error bars: ± 1 standard error" if attribution.covariance is not None else "",
-        "" if any(row.saliency for row in rows) else "all effects are 0",
+        "" if any(row.saliency for row in rows) else note_of_none(attribution),
         f"{pluralize(hidden, 'parameter')} with smaller effects not shown" if hidden > 0 else "",
         *bar_doubts(attribution, rows),
     ]
@@ -232,6 +234,7 @@ def _footnotes(
         labels = shorten([attribution.labels.get(name, name) for name in names[:_MAX_NAMES]], _NAME_WIDTH)
         more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
         lines.append(f"! {text} ({', '.join([*labels, *more])})")
+    lines += jump_notes(attribution)
     lines += [f"~ {text}" for text in bar_notes(attribution, rows, scale)]
     lines += [f"! {text}" for text in scene_cautions(attribution)]
     return [part for line in lines for part in wrapped_lines(line, width, 4)]

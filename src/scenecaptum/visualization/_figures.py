@@ -13,6 +13,7 @@ from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
 from ._finding import finding
 from ._layout import wrapped_lines
+from ._notes import kept_channels
 from ._numbers import rounded
 from ._text import FINDING_WIDTH, metric_line, sign_labels
 
@@ -100,10 +101,10 @@ def color_of(row: RankedParameter, attribution: Attribution, scale: Scale | None
     Per unit, it is also neutral if channels disagree.
     """
     allowed = clear_from(attribution.info)
-    values, errors = [row.effect], [row.effect_error or 0.0]
+    numbers = [(row.effect, row.effect_error or 0.0)]
     if attribution.ranks_by_norm(scale):
-        values, errors = list(row.total), list(row.total_error or (0.0,) * len(row.total))
-    signs = {value > 0 for value, error in zip(values, errors, strict=True) if abs(value) > allowed * error}
+        numbers = [(value, error or 0.0) for value, error in kept_channels(attribution, row)]
+    signs = {value > 0 for value, error in numbers if abs(value) > allowed * error}
     if len(signs) != 1 or sign_labels(attribution) is None:
         return UNCLEAR
     return RAISES if signs.pop() else LOWERS

@@ -9,6 +9,7 @@ from functools import partial
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
 from ._effect_notes import range_marked, range_notes
+from ._layout import first_few
 from ._numbers import shorten
 from ._text import FINDING_WIDTH, metric_name
 
@@ -19,15 +20,18 @@ def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str
     Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
 
     If the third may be the first as well, "and others" follows. It names only effects that are clear of
-    their noise, and says so if the largest is not, or if one within its noise may be larger. It names no effect
+    their noise, and says so if the largest is not, or if one within its noise may be larger. Where nothing has an
+    effect it names the poses that have no derivative. It names no effect
     with a note (``~``), which may be overstated. ``metric`` is by default its name.
     """
     metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     most, none = _findings(attribution, metric)
     allowed = clear_from(attribution.info)
     noted = range_marked(range_notes(attribution, scale))
-    if not noted and not any(row.saliency for row in ranking):
-        return none
+    if not ranking or (not noted and not any(row.saliency for row in ranking)):
+        jumps = [attribution.labels.get(name, name) for name in attribution.info.get("jumps", {})]
+        named = first_few(shorten(jumps, FINDING_WIDTH), ", ")
+        return f"{metric}: no derivative with respect to {named}" if jumps else none
     if ranking[0].saliency and not _is_clear(ranking[0], allowed):
         return f"{metric}: the largest effect is within the noise"
     unmarked = [row for row in ranking if row.name not in noted]

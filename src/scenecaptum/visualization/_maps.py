@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from ..denoising import denoise
@@ -36,7 +37,14 @@ from ._figures import (
     new_figure,
 )
 from ._layout import wrapped_lines
-from ._notes import caution_groups, doubt_notes, gradient_notes, noise_notes
+from ._notes import (
+    caution_groups,
+    doubt_notes,
+    gradient_notes,
+    jump_notes,
+    noise_notes,
+    note_of_none,
+)
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
     axis_label,
@@ -251,8 +259,8 @@ def _map_title(
 ) -> str:
     """Return what a map shows: the quantity, relative to which value, and the meaning of its colours."""
     scale: Scale | None = options.get("scale")
-    if not any(attribution.saliency(scale).values()):
-        return "all effects are 0"
+    if not any(row.saliency for row in attribution.ranking(scale=scale)):
+        return note_of_none(attribution)
     names, maximum = _selected(options), options.get("maximum")
     selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
     quantity = axis_label(attribution, scale, metric="the metric")
@@ -275,7 +283,8 @@ def _map_title(
 
 def _largest(attribution: Attribution, scale: Scale | None, is_selection: bool) -> str:
     """Return what a map is relative to, with the name of a camera's effect, which no pixel shows."""
-    first, saliency = attribution.ranking(scale=scale)[0], attribution.saliency(scale)
+    ranking = attribution.ranking(scale=scale)
+    first, saliency = ranking[0], {row.name: row.saliency for row in ranking}
     if is_selection or attribution.surfaces is None or not is_of_camera(first.name):
         return "the largest"
     objects = used_by_objects(attribution, attribution.surfaces, saliency)
@@ -328,6 +337,7 @@ def _panels(
         *pack([note for note in notes if note], line_length),
         *(f"! {note}" for note in _caution_notes(attribution, _selected(options))),
         *(_doubts(attribution, options) if unclear else []),
+        *jump_notes(attribution, _mapped(attribution, options)),
         *(f"~ {note}" for note in range_notes(attribution, scale)),
     ]
     caption = [line for note in packed for line in wrapped_lines(note, line_length)]
@@ -352,6 +362,12 @@ def _selected(options: dict[str, Any]) -> Sequence[str]:
     """Return the parameters that a map is of; none if it is of all."""
     parameter = options.get("parameter") or []
     return [parameter] if isinstance(parameter, str) else parameter
+
+
+def _mapped(attribution: Attribution, options: dict[str, Any]) -> list[str]:
+    """Return the names of the parameters that a map is of."""
+    patterns = _selected(options) or ["*"]
+    return [name for name in attribution if name in patterns or any(fnmatchcase(name, p) for p in patterns)]
 
 
 def _caution_notes(attribution: Attribution, selected: Sequence[str]) -> list[str]:

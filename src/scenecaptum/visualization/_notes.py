@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
@@ -94,18 +94,43 @@ def unit_notes(
     return ["per unit: compare parameters of one kind only"]
 
 
-def jump_notes(attribution: Attribution) -> list[str]:
-    """Return a note on each pose that has no derivative and is not ranked, or not in some directions."""
+def jump_notes(attribution: Attribution, among: Collection[str] | None = None) -> list[str]:
+    """Return a note on each pose that has no derivative and is not ranked, or not in some directions.
+
+    ``among`` are the parameters that are shown, by default all.
+    """
     labels, info = attribution.labels, attribution.info
     jumps = [
-        f"–  {labels.get(name, name)} is not ranked: {reason}; no derivative"
+        f"–  {labels.get(name, name)} is {_not_ranked(attribution, name)}: {reason}; no derivative"
         for name, reason in info.get("jumps", {}).items()
+        if among is None or name in among
     ]
     parts = [
         f"–  {labels.get(name, name)}: {reason}; this direction is left out"
-        for name, reason in info.get("left_out_notes", {}).items()
+        for name, reason in info.get("left_out_directions", {}).items()
+        if among is None or name in among
     ]
     return jumps + parts
+
+
+def _not_ranked(attribution: Attribution, name: str) -> str:
+    return "not ranked" if name in attribution else "left out of its group"
+
+
+def note_of_none(attribution: Attribution) -> str:
+    """Return what is said of effects none of which differs from 0: a pose that jumps has none at all."""
+    jumps = attribution.info.get("jumps", {})
+    if not jumps:
+        return "all effects are 0"
+    return "all other effects are 0" if attribution.ranking() else "no parameter has a derivative"
+
+
+def kept_channels(attribution: Attribution, row: RankedParameter) -> list[tuple[float, float | None]]:
+    """Return each channel of a row with its error, without the directions in which a pose has no derivative."""
+    errors: Sequence[float | None] = row.total_error or [None] * len(row.total)
+    kept = attribution.info.get("kept_directions", {}).get(row.name) or [1] * len(row.total)
+    numbers = zip(row.total, errors, kept, strict=True)
+    return [(value, error) for value, error, is_kept in numbers if is_kept]
 
 
 def gradient_notes(attribution: Attribution) -> list[str]:
@@ -122,10 +147,11 @@ def gradient_advice(attribution: Attribution) -> str:
 
 def _advice(attribution: Attribution) -> list[str]:
     """Return what the metric advises against large errors, if the effects have them."""
-    advice, errors = attribution.info.get("advice"), attribution.saliency_error()
-    if not advice or not errors:
+    advice, rows = attribution.info.get("advice"), attribution.ranking()
+    if not advice or attribution.covariance is None:
         return []
-    are_large = math.hypot(*errors.values()) > LARGE_ERROR * math.hypot(*attribution.saliency().values())
+    errors = math.hypot(*(row.saliency_error or 0.0 for row in rows))
+    are_large = errors > LARGE_ERROR * math.hypot(*(row.saliency for row in rows))
     if not are_large:
         return []
     if attribution.kind in OF_DIFFERENCES:  # the metric's advice is about its gradient
@@ -185,9 +211,9 @@ def _unchanged(attribution: Attribution) -> str:
     names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
     rows = [name for name in names if name in attribution]
     if not rows:
-        return f" ({pluralize(len(names), 'input')} unchanged)" if names else ""
+        return f"; unchanged in these groups: {pluralize(len(names), 'input')}" if names else ""
     named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
-    return f" ({'its' if len(rows) == 1 else 'their'} 0 says nothing: {named})"
+    return f"; unchanged, so that {'its' if len(rows) == 1 else 'their'} 0 says nothing: {named}"
 
 
 def _comparison_notes(attribution: Attribution) -> list[str]:
@@ -206,7 +232,7 @@ def _comparison_notes(attribution: Attribution) -> list[str]:
 def goal_notes(attribution: Attribution) -> list[str]:
     """Return a note on the achieved accuracy; nothing if the number of samples was fixed."""
     planner = attribution.info.get("planner")
-    if planner is None:
+    if planner is None or not attribution.ranking():  # nothing has an error to reach
         return []
     top, tolerance, half_width = planner["top"], planner["tolerance"], planner["relative_half_width"]
     stopped = "" if planner["reached"] else f", stopped by {planner['stopped']}"
@@ -244,7 +270,8 @@ def scene_cautions(attribution: Attribution) -> list[str]:
 
 def untrusted_groups(attribution: Attribution) -> dict[str, list[str]]:
     """Group the parameters with unreliable error bars by the reason, in the order of the ranking."""
-    reasons = attribution.untrusted_errors()
+    jumps = attribution.info.get("jumps", {})
+    reasons = {name: why for name, why in attribution.untrusted_errors().items() if name not in jumps}
     order = dict.fromkeys([*(row.name for row in attribution.ranking()), *reasons])
     return group_by_text((name, reasons[name]) for name in order if name in reasons)
 

@@ -105,10 +105,12 @@ def plot_rank_comparison(
     ----------
     Kendall, "The treatment of ties in ranking problems", Biometrika 33, 1945 (τ-b).
     """
-    common = [name for name in a if name in b]
+    jumps = {name for one in (a, b) for name in one.info.get("jumps", {})}
+    common = [name for name in a if name in b and name not in jumps]
     if len(common) < 2:
         raise SceneCaptumError(
-            f"A comparison needs at least two parameters that both attributions have; these share {len(common)}."
+            f"A comparison needs at least two parameters that both attributions {'rank' if jumps else 'have'}; "
+            f"these share {len(common)}."
         )
     count = len(first(common, top))
     lines = _lines(a.labels, _ranks(a, common), _ranks(b, common), count)
@@ -122,6 +124,7 @@ def plot_rank_comparison(
         f"{pluralize(len(common) - len(lines), 'parameter')} not shown" if len(common) > len(lines) else "",
         "dotted: within the noise, or tied" if any(line.dotted for line in lines) else "",
         f"{pluralize(left_out, 'parameter')} that only one of the two has left out" if left_out else "",
+        f"{pluralize(len(jumps), 'parameter')} without a derivative left out" if jumps else "",
     ]
     add_footnotes(ax, pack([note for note in notes if note], 80), below=6)
     return figure_of(ax)

@@ -24,7 +24,7 @@ from ._figures import (
 from ._finding import finding
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
-from ._notes import caution_groups, convergence_notes, doubt_notes, gradient_notes, noise_notes
+from ._notes import caution_groups, convergence_notes, doubt_notes, gradient_notes, jump_notes, noise_notes
 from ._text import FINDING_WIDTH, axis_label, method_name, metric_name, with_unit_of_effects
 
 if TYPE_CHECKING:
@@ -131,13 +131,14 @@ def _footnotes(
 
 
 def _notes_of_results(attributions: Sequence[Attribution]) -> list[str]:
-    """Return the cautions of results and what their error bars are; what not all share begins with its column."""
+    """Return notes on results, and what their error bars are; what not all share begins with its column."""
     columns: dict[str, list[str]] = {}
     for name, one in zip(_column_names(attributions), attributions, strict=True):
         bars = [] if one.covariance is None else ["error bars: ± 1 standard error"]
         adds_up = one.info.get("convergence") in (None, "adds up")
         converges = [] if adds_up else convergence_notes(one)
-        for note in [*bars, *noise_notes(one), *gradient_notes(one), *converges]:
+        jumps = [note.lstrip("– ") for note in jump_notes(one)]
+        for note in [*bars, *noise_notes(one), *gradient_notes(one), *converges, *jumps]:
             columns.setdefault(note, []).append(name)
     return _after_columns(columns, len(attributions))
 

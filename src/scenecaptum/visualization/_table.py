@@ -19,6 +19,7 @@ from ._notes import (
     convergence_notes,
     group_notes,
     jump_notes,
+    kept_channels,
     marked_doubts,
     sampling_notes,
     scene_cautions,
@@ -151,7 +152,7 @@ def _table(
         align_with_errors([(row.saliency, row.saliency_error) for row in shown])
         if is_norm
         else _effects(attribution, shown),
-        _gradients(shown),
+        _gradients(attribution, shown),
     )
     vectors = attribution.info.get("vectors", ())
     colors = any(len(row.total) == 3 and row.name not in vectors for row in shown)
@@ -213,9 +214,9 @@ def _effects(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[
     return align_with_errors(numbers, signed=attribution.kind.has_sign)
 
 
-def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
+def _gradients(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
     """Format the channels of each row, aligned over the rows; rows with many channels as a range."""
-    formatted = [_channels(row) for row in rows]
+    formatted = [_channels(attribution, row) for row in rows]
     fitting = [row for row in formatted if len(row) <= _MAX_CHANNELS]
     padded = map(align_decimals, zip_longest(*fitting, fillvalue=""))
     lines = iter("  ".join(channels).rstrip() for channels in zip(*padded, strict=True))
@@ -225,12 +226,15 @@ def _gradients(rows: Sequence[RankedParameter]) -> list[str]:
     ]
 
 
-def _channels(row: RankedParameter) -> list[str]:
-    """Format the channels to the same decimal place, with at most three digits."""
-    largest = max(map(abs, row.total))
-    style = Format.of(largest, max(row.total_error, default=None) if row.total_error else None)
+def _channels(attribution: Attribution, row: RankedParameter) -> list[str]:
+    """Format the channels to the same decimal place, with at most three digits; a dash without a derivative."""
+    kept = kept_channels(attribution, row)
+    largest = max(abs(value) for value, _ in kept)
+    style = Format.of(largest, max((error for _, error in kept if error is not None), default=None))
     style = style.at_most(3, largest)
-    return [style.write_signed(value) for value in row.total]
+    numbers = iter([style.write_signed(value) for value, _ in kept])
+    mask = attribution.info.get("kept_directions", {}).get(row.name) or [1] * len(row.total)
+    return [next(numbers) if is_kept else "–" for is_kept in mask]
 
 
 def _range(row: RankedParameter, written: Sequence[str]) -> str:
