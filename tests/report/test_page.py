@@ -532,9 +532,17 @@ def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
     assert row.locator(".tag").inner_text() == "behind glass or mirrored"
     assert page.page.locator("#rows .tag").count() == 1
     assert "Not in the picture" not in detail.inner_text()
+    caption, left_out = (
+        page.page.locator("#caption"),
+        "Not on the map, seen only behind glass or mirrored: sky.radiance",
+    )
+    for quantity in ("Signed", "Magnitude"):
+        page.page.get_by_text(quantity, exact=True).click()
+        assert left_out in caption.inner_text()
     row.click()
     assert "only behind glass or in a mirror" in detail.inner_text()
     page.page.get_by_text("Out of view", exact=True).click()
+    assert "Not on the map" not in caption.inner_text()
     assert row.locator(".tag").inner_text() == "not in view"
     assert "No pixel shows it directly" in detail.inner_text()
     page.page.locator("#clear").click()
