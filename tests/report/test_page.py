@@ -24,7 +24,7 @@ from scenecaptum.attr import Change, Definition, Explanation, Source
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
 from scenecaptum.report import Comparison, Table, write_report
-from scenecaptum.visualization import plot_heatmap, plot_plan
+from scenecaptum.visualization import advised, plot_heatmap, plot_plan
 
 UGR = {
     "name": "unified glare rating",
@@ -929,4 +929,53 @@ def test_the_facts_name_the_class_of_a_network(browser, tmp_path):
     for title, said in (("A", "logit of cube (ClassLogit)"), ("B", "logit of sphere (ClassLogit)")):
         page.page.get_by_text(title, exact=True).click()
         assert page.page.locator("#facts .metric dd").inner_text() == said
+    page.context.close()
+
+
+def test_a_page_says_what_is_doubtful_and_not_what_to_run(browser, tmp_path):
+    """The advice stays in tables: a page is for those who do not run the software, too."""
+    picture = {"caution": "the picture is too noisy: 2 at half", "advice": "use spp=128 or more"}
+    lamp = next(iter(ranged()))
+    doubted = noted(
+        ranged(),
+        picture=picture,
+        advice="smooth it",
+        lights_off=[lamp],
+        noisy_roughness=[lamp],
+        measure=UGR,
+        convergence="inconclusive",
+        explained=1.0,
+    )
+    large = {name: 9 * torch.eye(len(one)) for name, one in (doubted.covariance or {}).items()}
+    doubted = dataclasses.replace(doubted, covariance=large)
+    added = dataclasses.replace(doubted, convergence_delta=0.5, convergence_delta_error=0.4)
+    premises = (advised("caution: a sample", "use more samples"),)
+    results = [Explanation(one, premises=premises) for one in (doubted, added)]
+    steps = [
+        "use spp=128",
+        "smooth it",
+        "render the change",
+        "alone",
+        "mostly noise: use more",
+        "use more samples",
+    ]
+    printed = " ".join(f"{results[0]} {doubted} {added}".split())
+    assert [step for step in steps if step not in printed] == []
+    table = Table("effects", ["of", "A"], [["lamp", "1"]], [advised("~ lamp: off", "render the change")])
+    comparison = Comparison(0.5, 0.1, [], table)
+    path = written(tmp_path, *results, titles=["A", "B"], comparison=comparison)
+    text = path.read_text()
+    data = text.partition('id="data">')[2].partition("</script>")[0]
+    assert [step for step in steps if step in data] == []
+    page = Page(browser, path)
+    shown = " ".join(page.page.locator("main").inner_text().split())
+    for finding in (
+        "too noisy: 2 at half",
+        "a sample",
+        "off, and UGR is not linear",
+        "among many inputs",
+        "~ lamp: off",
+    ):
+        assert finding in shown
+    page.check(path)
     page.context.close()

@@ -12,9 +12,11 @@ from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..student import clear_from
 from ..visualization import (
+    advised,
     caution_groups,
     caution_marks,
     pluralize,
+    prefixed,
     range_marked,
     range_notes,
     rounded,
@@ -104,7 +106,7 @@ class EffectSentences:
                 f"? {reason}" if whose in partial else f"all parameters: {reason}"
                 for reason, whose in doubts.items()
             ),
-            *(f"~ {note}" for note in notes),
+            *(prefixed("~ ", note) for note in notes),
         ]
         return marks, legend
 
@@ -194,7 +196,7 @@ class EffectSentences:
         ]
         listed = ", ".join(f"{whose} ({effect})" for whose, effect in rendered)
         seen = f", but rendered changes are clear: {listed}" if rendered else ""
-        return [f"{unranked}{seen}; use more samples", *notes]
+        return [advised(f"{unranked}{seen}", "use more samples"), *notes]
 
     def _hiding_line(self, hiding: Sequence[RankedParameter], smallest: float) -> str:
         """Say which effects may be as large as the smallest that is stated, and the samples that would tell."""
@@ -217,7 +219,7 @@ class EffectSentences:
         else:
             remedy = "this cannot be resolved with a reasonable number of samples"
         size = f"{rounded(smallest, 2)} {unit_of_effect(self.attribution)}".rstrip()
-        return f"{which} may have an effect of {size} or more within the error{listed}; {remedy}"
+        return advised(f"{which} may have an effect of {size} or more within the error{listed}", remedy)
 
     def _named(self, row: RankedParameter) -> str:
         return f"{in_words(row.label)} ({number_of_effect(self.attribution, row)})"

@@ -19,6 +19,7 @@ from ..visualization import (
     first_few,
     metric_unit,
     pluralize,
+    prefixed,
     range_marked,
     range_notes,
     rounded,
@@ -110,7 +111,7 @@ def effect_table(
     of_what = ", of the relaxed value" if relaxed else ""
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
     below = [f"{mark} {text}" for text, mark in caution_marks(cautions).items()]
-    below += [f"~ {note}" for note in notes]
+    below += [prefixed("~ ", note) for note in notes]
     below += [f"{NOISE} change within the noise"] if is_noisy else []
     return Table(
         f"effect: {axis_label(after, width=None)}{of_what}",
@@ -259,7 +260,7 @@ def _of_both(
     found: dict[str, list[str]] = {}
     for title, notes in zip(titles, (first, second), strict=True):
         for text, names in notes.items():
-            note = text if text in first and text in second else f"{title}: {text}"
+            note = text if text in first and text in second else prefixed(f"{title}: ", text)
             found[note] = list(dict.fromkeys([*found.get(note, []), *names]))
     return found
 
