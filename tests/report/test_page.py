@@ -24,7 +24,7 @@ from scenecaptum.attr import Change, Definition, Explanation, Source
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
 from scenecaptum.report import Comparison, Table, write_report
-from scenecaptum.visualization import advised, plot_heatmap, plot_plan
+from scenecaptum.visualization import advised, findings, plot_heatmap, plot_plan
 
 UGR = {
     "name": "unified glare rating",
@@ -554,6 +554,28 @@ def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
 # ---------------------------------------------------------------------------------------------------- on a phone
 
 
+@pytest.mark.parametrize("width", [340, 360, 390, 430])
+def test_long_numbers_stand_within_a_narrow_page_and_do_not_break(browser, tmp_path, width):
+    """The error may stand below the value, but neither is cut off or broken."""
+    signed = ranged()
+    error = 1e-6
+    fine = dataclasses.replace(
+        signed,
+        attributions={name: torch.full_like(one, -0.31415926) for name, one in signed.items()},
+        covariance={name: error**2 * torch.eye(len(one)) for name, one in (signed.covariance or {}).items()},
+    )
+    page = Page(browser, written(tmp_path, fine), viewport={"width": width, "height": 740})
+    assert page.page.evaluate("document.documentElement.scrollWidth") == width
+    parts = page.page.locator("#rows .whole").all()
+    assert len(parts) >= 2 * len(fine) - 2
+    for part in parts:
+        box = part.bounding_box()
+        assert box["x"] + box["width"] <= width - 15
+        assert part.evaluate("one => one.getClientRects().length") <= 2  # the mark and the number
+        assert box["height"] < 30, "on one line"
+    page.context.close()
+
+
 def test_details_on_a_phone_are_in_sight_below_what_was_touched(browser, tmp_path):
     path = written(tmp_path, explained(), ranged(metric="Brightness"))
     page = Page(browser, path, **PHONE)
@@ -759,7 +781,7 @@ def test_an_explanation_shows_all_its_sentences(browser, tmp_path, options):
     path = written(tmp_path, explained())
     page = Page(browser, path, **options)
     parts = page.page.locator("#explanation .part").all()
-    sections = explained().sections()[1:]
+    sections = [(heading, findings(lines)) for heading, lines in explained().sections()[1:]]
     assert len(sections) >= 3
     assert [
         (part.locator("h2").inner_text(), part.locator("li").all_inner_texts()) for part in parts
