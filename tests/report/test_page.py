@@ -190,7 +190,7 @@ def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
     )
     page = Page(browser, path)
     for plan in (True, False):
-        page.page.get_by_text("Grid" if plan else "View", exact=True).click()
+        page.page.locator("#results").get_by_text("Grid" if plan else "View", exact=True).click()
         assert page.page.locator("#plan").is_visible() == plan
         for selector in ("#picture", "#scale", "#opacity", "#png"):
             assert page.page.locator(selector).is_visible() != plan
@@ -306,11 +306,11 @@ def test_the_settings_of_a_sensor_grid_and_of_an_explanation_are_those_that_were
     )
     page = Page(browser, path)
     for title, grid in (("A", "9 × 7 sensor points"), ("B", described.info["sensor grid"])):
-        page.page.get_by_text(title, exact=True).click()
+        page.page.locator("#results").get_by_text(title, exact=True).click()
         assert " ".join(page.page.locator("#facts").inner_text().split()).count(f"sensor grid {grid}") == 1
         assert page.page.locator("#facts .seed dd").inner_text() == "3"
         assert page.page.locator("#facts").get_by_text("resolution").count() == 0
-    page.page.get_by_text("C", exact=True).click()
+    page.page.locator("#results").get_by_text("C", exact=True).click()
     assert page.page.locator("#facts .resolution dd").inner_text() == "9 × 7"
     page.context.close()
 
@@ -323,6 +323,24 @@ def test_a_plan_of_the_command_line_can_be_read_on_a_phone(browser, tmp_path):
     size = figure.axes[0].xaxis.label.get_size() / 72 * shown["width"] / figure.get_size_inches()[0]
     assert size > 9, "pixels of the page"
     page.context.close()
+
+
+def test_each_of_two_plans_has_the_name_of_its_design_and_says_how_to_see_the_other(browser, tmp_path):
+    figures = [Figure(figsize=(4, 3)), Figure(figsize=(4, 3), facecolor="red")]
+    results = [ranged(surfaces=None), ranged(surfaces=None)]
+    page = Page(
+        browser,
+        written(tmp_path, *results, plans=figures, titles=["now", "tinted"], comparison=Comparison(0.5)),
+    )
+    above = page.page.locator("#plan-of")
+    for title in ("now", "tinted"):
+        page.page.locator(".result", has_text=title).click()
+        assert above.inner_text().split("\n")[0] == title
+        assert "Click another card above" in above.inner_text()
+    page.context.close()
+    alone = Page(browser, written(tmp_path, results[0], plans=figures[:1]))
+    assert not alone.page.locator("#plan-of").is_visible()
+    alone.context.close()
 
 
 def long_result(rows: int) -> SceneAttribution:
