@@ -17,6 +17,7 @@ from scenecaptum import SceneRenderer, SensorGrid, VanillaSceneGradient, cli, da
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compared, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
+from scenecaptum.daylight import PlanValues
 from scenecaptum.explanation import grid_premises
 from scenecaptum.visualization import plot_plan, rounded
 
@@ -306,3 +307,14 @@ def test_the_plan_says_the_error_of_a_point() -> None:
     assert error > (result.metric_standard_error or 0)
     below = _plan.draw_plan(result.image, room, metric, result.info).axes[0].get_xlabel()
     assert f"± {rounded(error, 2)} lx at a point" in below
+
+
+def test_the_title_of_a_plan_is_one_sentence_that_keeps_its_unit() -> None:
+    shares = PlanValues(
+        torch.zeros(1), "occupied hours with at least 300 lx in %", (50.0,), "from 50 % on, one counts"
+    )
+    assert (
+        _plan._title(shares)
+        == "Occupied hours with at least 300\u00a0lx\u00a0in\u00a0%; from 50 % on, one counts"
+    )
+    assert _plan._title(PlanValues(torch.zeros(1), "lux")) == "Lux"
