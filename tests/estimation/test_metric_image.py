@@ -263,8 +263,8 @@ class Counting(Fireflies):
         (VanillaSceneGradient, {"spp": 3}),
         (VanillaSceneGradient, {"spp": 4, "picture_spp": 20}),
         (VanillaSceneGradient, {"tolerance": 0.9}),
-        (SmoothGradScene, {"spp": 4, "nt_samples": 4}),
-        (SmoothGradScene, {"spp": 8, "nt_samples": 4, "picture_spp": 64}),
+        (SmoothGradScene, {"spp": 4, "nt_samples": 4, "noise_free_last": False}),
+        (SmoothGradScene, {"spp": 8, "nt_samples": 4, "picture_spp": 64, "noise_free_last": False}),
         (FeatureAblationScene, {"baselines": 0.0, "spp": 3}),
     ],
 )

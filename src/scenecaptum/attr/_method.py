@@ -347,7 +347,10 @@ class Run:
             return None
         has_goal = isinstance(gradients, Rounds)
         instead = " in place of a goal" if has_goal else ""
-        if self.settings.picture_spp is not None:
+        if (picture_spp := self.settings.picture_spp) is not None:
+            if gradients.n_points > 1 and not has_goal and gradients.extra_spp:
+                # Points at which the metric is linear take no extra samples.
+                return SampleOption("picture_spp", picture_spp * samples / gradients.extra_spp)
             return SampleOption("picture_spp", samples, instead)
         if gradients.n_points > 1 and not has_goal:
             return SampleOption("spp", max(samples, MIN_METRIC_SPP))
