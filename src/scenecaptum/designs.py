@@ -78,10 +78,11 @@ def _matching(pattern: str, key: str, values: Mapping[str, Any], parameters: Map
     if not found:
         change = "" if pattern == key else f" (its last {key[-1]} is an operator)"
         if unselected := next((name for name in parameters if fnmatchcase(name, pattern)), None):
-            raise SceneCaptumError(
-                f"The design sets {key!r}{change}, which matches {unselected!r}, but that is not selected as an "
-                f'input: inputs = "{parameters[unselected].kind}" selects it.'
-            )
+            matched = f"The design sets {key!r}{change}, which matches {unselected!r}, but that"
+            kind, problem = parameters[unselected].kind, getattr(parameters[unselected], "problem", None)
+            if problem:
+                raise SceneCaptumError(f"{matched} cannot be an input: {problem}.")
+            raise SceneCaptumError(f'{matched} is not selected as an input: inputs="{kind}" selects it.')
         raise SceneCaptumError(
             f"The design sets {key!r}{change}, which is not an input.{near_misses(pattern, values)} "
             "`scenecaptum parameters SCENE` lists them."

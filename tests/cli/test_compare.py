@@ -209,3 +209,20 @@ def test_an_attribution_of_daylight_is_called_relaxed_and_its_report_quotes_the_
     assert card["written"] == [*quoted]
     saved = SceneAttribution.load(tmp_path / "attribution.npz")
     assert saved.info["measure"]["name"] == "spatial daylight autonomy without blinds, relaxed"
+
+
+@pytest.mark.parametrize(
+    ("error", "errors", "said"),
+    [
+        (0.1, (0.3, 0.3), "most of the noise of the change cancels"),
+        (3.2, (2.7, 1.8), "half or more of the noise of the change remains"),  # as of independent renders
+        (0.0, (0.1, 0.2), "most of the noise of the change cancels"),
+        (0.0, (0.0, 0.0), ""),
+        (None, (0.1, 0.2), ""),
+        (0.1, (None, 0.2), ""),
+    ],
+)
+def test_the_noise_of_a_change_is_said_to_cancel_only_where_it_does(
+    error: float | None, errors: tuple[float | None, float | None], said: str
+) -> None:
+    assert _compare._remaining(error, errors) == (f", in which {said}" if said else "")

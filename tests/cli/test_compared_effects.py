@@ -137,12 +137,15 @@ def test_the_error_of_a_change_over_different_ranges_is_that_of_common_random_nu
     ("rendered", "contradicts"),
     [
         ((0.06, 0.001), False),
-        ((0.2, 0.001), False),  # smaller to first order: the effect has the right sign, at least
+        ((0.12, 0.001), False),
+        ((0.2, 0.001), True),
+        ((0.2, 0.05), False),
         ((0.02, 0.001), True),
         ((-0.05, 0.001), True),
         ((0.0, 0.001), True),
         ((0.02, 0.05), False),  # the noise of the render
         ((-0.05, 0.05), False),
+        ((-0.9, 0.05), True),
     ],
 )
 def test_a_rendered_change_contradicts_an_effect_by_its_sign_or_by_a_factor_of_two(

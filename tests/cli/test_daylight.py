@@ -17,6 +17,7 @@ from scenecaptum import SceneRenderer, SensorGrid, VanillaSceneGradient, cli, da
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compared, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
+from scenecaptum.daylight import PlanValues
 from scenecaptum.explanation import grid_premises
 from scenecaptum.visualization import plot_plan, rounded
 
@@ -306,3 +307,28 @@ def test_the_plan_says_the_error_of_a_point() -> None:
     assert error > (result.metric_standard_error or 0)
     below = _plan.draw_plan(result.image, room, metric, result.info).axes[0].get_xlabel()
     assert f"± {rounded(error, 2)} lx at a point" in below
+
+
+@pytest.mark.parametrize("more", ["daylight classroom", "compare classroom --metric sda"])
+def test_a_darker_sky_in_daylight_is_refused_with_the_reason(
+    more: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Selecting the sky would be refused for the same reason: the weather sets it."""
+    assert cli.main([*more.split(), "--set", "sky.radiance.value*=0.7", "--spacing", "2", "--spp", "4"]) != 0
+    said = " ".join(capsys.readouterr().err.split())
+    assert (
+        "cannot be an input: daylight coefficients are per unit radiance of the sky, which the weather"
+        in said
+    )
+    assert "selects it" not in said
+
+
+def test_the_title_of_a_plan_is_one_sentence_that_keeps_its_unit() -> None:
+    shares = PlanValues(
+        torch.zeros(1), "occupied hours with at least 300 lx in %", (50.0,), "from 50 % on, one counts"
+    )
+    assert (
+        _plan._title(shares)
+        == "Occupied hours with at least 300\u00a0lx\u00a0in\u00a0%; from 50 % on, one counts"
+    )
+    assert _plan._title(PlanValues(torch.zeros(1), "lux")) == "Lux"

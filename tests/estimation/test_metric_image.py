@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
@@ -13,12 +14,14 @@ from chance import allowed
 from seeds import seeds, shifted
 
 import scenecaptum as sc
-from scenecaptum import Camera, FeatureAblationScene, VanillaSceneGradient, metrics
+from scenecaptum import Camera, FeatureAblationScene, SmoothGradScene, VanillaSceneGradient, metrics
 from scenecaptum.denoising import denoise, straight_through
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.estimation import (
     ImageTransform,
+    SampleOption,
     TargetedMetric,
+    _image_info,
     choose_transform,
     describe_picture,
     pixel_error,
@@ -200,21 +203,86 @@ def test_the_caution_says_that_differences_of_values_are_biased_too(view):
     ("drift", "denoised", "compares", "said"),
     [
         ((0.008, 0.001), None, False, None),  # in the error of the value, and below a percent of it
-        ((0.008, 0.001), None, True, "1.792 at 64 spp, 1.784 at 128 spp: use at least 16 times the samples"),
-        ((0.05, 0.012), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use at least 3 times the samples"),
-        ((0.05, 0.005), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use at least 3 times the samples"),
-        ((0.05, 0.02), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use at least 2 times the samples"),
+        ((0.008, 0.001), None, True, "1.792 at 64 spp, 1.784 at 128 spp: use spp=2048 or more"),
+        ((0.05, 0.012), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use spp=384 or more"),
+        ((0.05, 0.005), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use spp=384 or more"),
+        ((0.05, 0.02), None, False, "1.834 at 64 spp, 1.784 at 128 spp: use spp=256 or more"),
         ((0.05, 0.03), None, False, None),
         ((0.0, 0.001), 1.79, False, None),
         ((0.0, 0.001), 1.9, False, "1.784 as rendered, 1.9 denoised"),
     ],
 )
 def test_a_difference_below_a_percent_of_the_value_needs_no_caution(drift, denoised, compares, said):
-    found = describe_picture(ImageTransform(), 1.784, drift, 128, denoised, compares=compares)["caution"]
+    asked = SampleOption("spp", 128)
+    found = describe_picture(ImageTransform(), 1.784, drift, 128, denoised, compares=compares, option=asked)
     if said is None:
-        assert found is None
-    else:
-        assert found.removeprefix("the picture is too noisy for this metric: ").partition(";")[0] == said
+        assert found["caution"] is found["advice"] is None
+        return
+    caution = found["caution"].removeprefix("the picture is too noisy for this metric: ").partition(";")[0]
+    assert ": ".join(filter(None, [caution, found["advice"]])) == said
+
+
+def test_a_caution_counts_samples_only_where_the_picture_has_as_many_as_were_asked_for():
+    drift = (0.05, 0.02)
+    for option, said in (
+        (SampleOption("picture_spp", 128), "1.834 at 64 spp, 1.784 at 128 spp"),
+        (SampleOption("spp", 32.1, " in place of a goal"), "1.834 at half of the samples, 1.784 at all"),
+        (None, "1.834 at half of the samples, 1.784 at all"),
+    ):
+        found = describe_picture(ImageTransform(), 1.784, drift, 128, option=option)
+        assert found["caution"] == f"the picture is too noisy for this metric: {said}"
+        assert (
+            found["advice"]
+            == {
+                "picture_spp": "use picture_spp=256 or more",
+                "spp": "use spp=65 or more in place of a goal",
+                None: "use at least 2 times the samples",
+            }[option and option.keyword]
+        )
+
+
+class Counting(Fireflies):
+    """A renderer that counts the samples of the pictures at its own inputs."""
+
+    def __init__(self):
+        super().__init__()
+        self.samples = 0
+        self.bounds = dict.fromkeys(self.inputs, (0.0, 2.0))
+
+    def __call__(self, inputs, *, seed, spp):
+        is_own = all(torch.equal(value, inputs[name]) for name, value in self.inputs.items())
+        self.samples += spp if is_own and not torch.is_grad_enabled() else 0
+        return super().__call__(inputs, seed=seed, spp=spp)
+
+
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [
+        (VanillaSceneGradient, {}),
+        (VanillaSceneGradient, {"denoise": True}),
+        (VanillaSceneGradient, {"spp": 3}),
+        (VanillaSceneGradient, {"spp": 4, "picture_spp": 20}),
+        (VanillaSceneGradient, {"tolerance": 0.9}),
+        (SmoothGradScene, {"spp": 4, "nt_samples": 4, "noise_free_last": False}),
+        (SmoothGradScene, {"spp": 8, "nt_samples": 4, "picture_spp": 64, "noise_free_last": False}),
+        (FeatureAblationScene, {"baselines": 0.0, "spp": 3}),
+    ],
+)
+def test_the_advised_option_gives_the_picture_as_many_times_the_samples(method, options, monkeypatch):
+    """Whatever defaults, rounding up, denoising, a goal or many points have made of what was set."""
+
+    def attributed(**options):
+        renderer = Counting()
+        found = method(renderer, glare()).attribute(seed=shifted(), **{"denoise": False, **options})
+        return renderer.samples, found.info["picture"]["advice"]
+
+    monkeypatch.setattr(_image_info, "_differs", lambda *_, **__: ("differs", 4))
+    before, advice = attributed(**options)
+    keyword, value, instead = re.fullmatch(r"use (\w+)=(\d+) or more(.*)", advice).groups()
+    assert instead == (" in place of a goal" if "tolerance" in options else "")
+    kept = {name: one for name, one in options.items() if name != "tolerance"}
+    after, _ = attributed(**{**kept, keyword: int(value)})
+    assert 4 * before <= after < 6 * before
 
 
 def test_the_caution_is_printed_and_saved(tmp_path):
@@ -260,14 +328,14 @@ def test_the_caution_on_a_wide_interval_is_made_only_where_the_class_is_in_doubt
             False,
             0.12,
             0.0,
-            "the noise of a pixel is 12 %, and more than 5 % biases it: use 6 times the samples",
+            "the noise of a pixel is 12 %, and more than 5 % biases it: use spp=384 or more",
         ),
         (False, 0.04, 0.1, None),
         (
             True,
             0.12,
             0.08,
-            "the error of a denoised pixel is 8 %, and more than 5 % biases it: use 6 times the",
+            "the error of a denoised pixel is 8 %, and more than 5 % biases it: use spp=384 or",
         ),
         (True, 0.12, 0.04, None),
         (
@@ -276,16 +344,25 @@ def test_the_caution_on_a_wide_interval_is_made_only_where_the_class_is_in_doubt
             0.08,
             "the error of a denoised pixel is 8 %, and more than 5 % biases it: do not denoise",
         ),
-        (False, 0.052, 0.0, "the noise of a pixel is 5.2 %, and more than 5 % biases it: use 2 times"),
-        (False, 0.0503, 0.0, "the noise of a pixel is 5.03 %, and more than 5 % biases it: use 2 times"),
-        (True, 0.12, 0.0516, "the error of a denoised pixel is 5.2 %, and more than 5 % biases it: use 6"),
+        (False, 0.052, 0.0, "the noise of a pixel is 5.2 %, and more than 5 % biases it: use spp=128"),
+        (False, 0.0503, 0.0, "the noise of a pixel is 5.03 %, and more than 5 % biases it: use spp=128"),
+        (
+            True,
+            0.12,
+            0.0516,
+            "the error of a denoised pixel is 5.2 %, and more than 5 % biases it: use spp=384",
+        ),
     ],
 )
 def test_the_caution_is_about_the_picture_that_is_used(denoises, noise, error, said):
     plain = TargetedMetric(SimpleNamespace(tolerated_noise=0.05))
     transform = ImageTransform(denoises, denoised_error=error**2)
-    caution = describe_picture(transform, 0.5, None, 64, noise=noise, metric=plain)["caution"]
-    assert (caution is None) if said is None else (said in caution)
+    option = SampleOption("spp", 64)
+    found = describe_picture(transform, 0.5, None, 64, noise=noise, metric=plain, option=option)
+    if said is None:
+        assert found["caution"] is found["advice"] is None
+    else:
+        assert said in f"{found['caution']}: {found['advice']}"
 
 
 def test_images_can_have_a_separate_sample_budget():

@@ -561,8 +561,8 @@ def test_a_share_that_is_the_same_in_all_replicates_is_not_exact_and_few_points_
     assert few.headline() == "spatial daylight autonomy = 75 % ± less than one point (25 %)"
     assert few.value() == "75"
     assert few.notes()[-1] == (
-        "quote 75 %, the value by the definition (in steps of 25 %, one point: choose a finer spacing); the "
-        "relaxed value 75.00 ± 0.10 % only serves the derivatives"
+        "quote 75 %, the value by the definition (in steps of 25 %, one point); the relaxed value "
+        "75.00 ± 0.10 % only serves the derivatives; choose a finer spacing"
     )
     hours = of_daylight(75.0, 0.1, definition=Definition(75.0, "", error=0.0))
     assert hours.headline() == "spatial daylight autonomy = 75 ± 0 %"

@@ -24,7 +24,7 @@ from scenecaptum.attr import Change, Definition, Explanation, Source
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.metrics import ClassLogit
 from scenecaptum.report import Comparison, Table, write_report
-from scenecaptum.visualization import plot_heatmap, plot_plan
+from scenecaptum.visualization import advised, findings, plot_heatmap, plot_plan
 
 UGR = {
     "name": "unified glare rating",
@@ -190,7 +190,7 @@ def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
     )
     page = Page(browser, path)
     for plan in (True, False):
-        page.page.get_by_text("Grid" if plan else "View", exact=True).click()
+        page.page.locator("#results").get_by_text("Grid" if plan else "View", exact=True).click()
         assert page.page.locator("#plan").is_visible() == plan
         for selector in ("#picture", "#scale", "#opacity", "#png"):
             assert page.page.locator(selector).is_visible() != plan
@@ -306,11 +306,11 @@ def test_the_settings_of_a_sensor_grid_and_of_an_explanation_are_those_that_were
     )
     page = Page(browser, path)
     for title, grid in (("A", "9 × 7 sensor points"), ("B", described.info["sensor grid"])):
-        page.page.get_by_text(title, exact=True).click()
+        page.page.locator("#results").get_by_text(title, exact=True).click()
         assert " ".join(page.page.locator("#facts").inner_text().split()).count(f"sensor grid {grid}") == 1
         assert page.page.locator("#facts .seed dd").inner_text() == "3"
         assert page.page.locator("#facts").get_by_text("resolution").count() == 0
-    page.page.get_by_text("C", exact=True).click()
+    page.page.locator("#results").get_by_text("C", exact=True).click()
     assert page.page.locator("#facts .resolution dd").inner_text() == "9 × 7"
     page.context.close()
 
@@ -323,6 +323,24 @@ def test_a_plan_of_the_command_line_can_be_read_on_a_phone(browser, tmp_path):
     size = figure.axes[0].xaxis.label.get_size() / 72 * shown["width"] / figure.get_size_inches()[0]
     assert size > 9, "pixels of the page"
     page.context.close()
+
+
+def test_each_of_two_plans_has_the_name_of_its_design_and_says_how_to_see_the_other(browser, tmp_path):
+    figures = [Figure(figsize=(4, 3)), Figure(figsize=(4, 3), facecolor="red")]
+    results = [ranged(surfaces=None), ranged(surfaces=None)]
+    page = Page(
+        browser,
+        written(tmp_path, *results, plans=figures, titles=["now", "tinted"], comparison=Comparison(0.5)),
+    )
+    above = page.page.locator("#plan-of")
+    for title in ("now", "tinted"):
+        page.page.locator(".result", has_text=title).click()
+        assert above.inner_text().split("\n")[0] == title
+        assert "Click another card above" in above.inner_text()
+    page.context.close()
+    alone = Page(browser, written(tmp_path, results[0], plans=figures[:1]))
+    assert not alone.page.locator("#plan-of").is_visible()
+    alone.context.close()
 
 
 def long_result(rows: int) -> SceneAttribution:
@@ -532,9 +550,17 @@ def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
     assert row.locator(".tag").inner_text() == "behind glass or mirrored"
     assert page.page.locator("#rows .tag").count() == 1
     assert "Not in the picture" not in detail.inner_text()
+    caption, left_out = (
+        page.page.locator("#caption"),
+        "Not on the map, seen only behind glass or mirrored: sky.radiance",
+    )
+    for quantity in ("Signed", "Magnitude"):
+        page.page.get_by_text(quantity, exact=True).click()
+        assert left_out in caption.inner_text()
     row.click()
     assert "only behind glass or in a mirror" in detail.inner_text()
     page.page.get_by_text("Out of view", exact=True).click()
+    assert "Not on the map" not in caption.inner_text()
     assert row.locator(".tag").inner_text() == "not in view"
     assert "No pixel shows it directly" in detail.inner_text()
     page.page.locator("#clear").click()
@@ -544,6 +570,28 @@ def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
 
 
 # ---------------------------------------------------------------------------------------------------- on a phone
+
+
+@pytest.mark.parametrize("width", [340, 360, 390, 430])
+def test_long_numbers_stand_within_a_narrow_page_and_do_not_break(browser, tmp_path, width):
+    """The error may stand below the value, but neither is cut off or broken."""
+    signed = ranged()
+    error = 1e-6
+    fine = dataclasses.replace(
+        signed,
+        attributions={name: torch.full_like(one, -0.31415926) for name, one in signed.items()},
+        covariance={name: error**2 * torch.eye(len(one)) for name, one in (signed.covariance or {}).items()},
+    )
+    page = Page(browser, written(tmp_path, fine), viewport={"width": width, "height": 740})
+    assert page.page.evaluate("document.documentElement.scrollWidth") == width
+    parts = page.page.locator("#rows .whole").all()
+    assert len(parts) >= 2 * len(fine) - 2
+    for part in parts:
+        box = part.bounding_box()
+        assert box["x"] + box["width"] <= width - 15
+        assert part.evaluate("one => one.getClientRects().length") <= 2  # the mark and the number
+        assert box["height"] < 30, "on one line"
+    page.context.close()
 
 
 def test_details_on_a_phone_are_in_sight_below_what_was_touched(browser, tmp_path):
@@ -751,7 +799,7 @@ def test_an_explanation_shows_all_its_sentences(browser, tmp_path, options):
     path = written(tmp_path, explained())
     page = Page(browser, path, **options)
     parts = page.page.locator("#explanation .part").all()
-    sections = explained().sections()[1:]
+    sections = [(heading, findings(lines)) for heading, lines in explained().sections()[1:]]
     assert len(sections) >= 3
     assert [
         (part.locator("h2").inner_text(), part.locator("li").all_inner_texts()) for part in parts
@@ -921,4 +969,53 @@ def test_the_facts_name_the_class_of_a_network(browser, tmp_path):
     for title, said in (("A", "logit of cube (ClassLogit)"), ("B", "logit of sphere (ClassLogit)")):
         page.page.get_by_text(title, exact=True).click()
         assert page.page.locator("#facts .metric dd").inner_text() == said
+    page.context.close()
+
+
+def test_a_page_says_what_is_doubtful_and_not_what_to_run(browser, tmp_path):
+    """The advice stays in tables: a page is for those who do not run the software, too."""
+    picture = {"caution": "the picture is too noisy: 2 at half", "advice": "use spp=128 or more"}
+    lamp = next(iter(ranged()))
+    doubted = noted(
+        ranged(),
+        picture=picture,
+        advice="smooth it",
+        lights_off=[lamp],
+        noisy_roughness=[lamp],
+        measure=UGR,
+        convergence="inconclusive",
+        explained=1.0,
+    )
+    large = {name: 9 * torch.eye(len(one)) for name, one in (doubted.covariance or {}).items()}
+    doubted = dataclasses.replace(doubted, covariance=large)
+    added = dataclasses.replace(doubted, convergence_delta=0.5, convergence_delta_error=0.4)
+    premises = (advised("caution: a sample", "use more samples"),)
+    results = [Explanation(one, premises=premises) for one in (doubted, added)]
+    steps = [
+        "use spp=128",
+        "smooth it",
+        "render the change",
+        "alone",
+        "mostly noise: use more",
+        "use more samples",
+    ]
+    printed = " ".join(f"{results[0]} {doubted} {added}".split())
+    assert [step for step in steps if step not in printed] == []
+    table = Table("effects", ["of", "A"], [["lamp", "1"]], [advised("~ lamp: off", "render the change")])
+    comparison = Comparison(0.5, 0.1, [], table)
+    path = written(tmp_path, *results, titles=["A", "B"], comparison=comparison)
+    text = path.read_text()
+    data = text.partition('id="data">')[2].partition("</script>")[0]
+    assert [step for step in steps if step in data] == []
+    page = Page(browser, path)
+    shown = " ".join(page.page.locator("main").inner_text().split())
+    for finding in (
+        "too noisy: 2 at half",
+        "a sample",
+        "off, and UGR is not linear",
+        "among many inputs",
+        "~ lamp: off",
+    ):
+        assert finding in shown
+    page.check(path)
     page.context.close()

@@ -125,4 +125,6 @@ def test_a_cell_says_what_its_own_page_says(run: Callable[..., StudyResult], tmp
         assert numbers["cautions"] == ([attribution.info["picture"]["caution"]] if is_noisy else [])
         assert numbers["convergence"] == attribution.info["convergence"]
         assert (numbers["convergence"] == "does not add up") == (adds_up is False)
-        assert numbers["convergence_note"] == (convergence_notes(attribution)[0] if adds_up is False else "")
+        assert numbers["convergence_advised"] == (
+            convergence_notes(attribution)[0] if adds_up is False else ""
+        )

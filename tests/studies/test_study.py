@@ -470,4 +470,4 @@ def test_a_design_of_what_is_not_selected_says_which_inputs_select_it(
     result = run(value_study(designs={"dim": {"light*radiance.value*": 0.5}}, inputs="reflectance"), tmp_path)
     (error,) = result.failures.values()
     assert "'light.emitter.radiance.value', but that is not selected" in error
-    assert error.endswith('inputs = "emitters" selects it.')  # without the name of this machine
+    assert error.endswith('inputs="emitters" selects it.')  # without the name of this machine

@@ -259,6 +259,24 @@ def test_heatmap_names_salient_invisible_parameters() -> None:
     assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))
 
 
+def test_maps_name_what_is_seen_only_behind_glass_and_leave_out() -> None:
+    """Also a noisy effect: a window that is neutral on the map may still have the largest."""
+    behind = make(seen_through=["lamp", "tiny", "floor"])
+    left_out = "not on the map, seen only behind glass or mirrored: lamp, #1 with an effect of 0.500 ± 0.004"
+    for text in (all_text(plot(behind)).replace("\n", " ") for plot in (plot_heatmap, plot_overlay)):
+        assert left_out in text
+        assert "floor, #3" not in text  # also seen directly
+        assert "tiny" not in text
+        assert "not in the picture: two_minds, #2" in text
+    assert "not on the map" not in all_text(plot_heatmap(behind, parameter="fl*"))
+    assert left_out in all_text(plot_heatmap(behind, parameter="la*")).replace("\n", " ")
+    through = surfaces("lamp", "floor")  # that of ``renderer.see_through()``
+    assert "not on the map" not in all_text(plot_heatmap(behind, surfaces=through))
+    assert behind.covariance is not None
+    noisy = dataclasses.replace(behind, covariance={**behind.covariance, "lamp": 0.1 * torch.eye(3)})
+    assert "behind glass or mirrored: lamp, #1" in all_text(plot_heatmap(noisy)).replace("\n", " ")
+
+
 def test_the_camera_is_in_no_picture() -> None:
     result = make()
     by_name = {

@@ -13,11 +13,13 @@ from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..student import clear_from
 from ..visualization import (
+    advised,
     caution_groups,
     caution_marks,
     gradient_advice,
     jump_notes,
     pluralize,
+    prefixed,
     range_marked,
     range_notes,
     rounded,
@@ -118,7 +120,7 @@ class EffectSentences:
                 f"? {reason}" if whose in partial else f"all parameters: {reason}"
                 for reason, whose in doubts.items()
             ),
-            *(f"~ {note}" for note in notes),
+            *(prefixed("~ ", note) for note in notes),
         ]
         return marks, legend
 
@@ -202,7 +204,8 @@ class EffectSentences:
         ]
         listed = ", ".join(f"{whose} ({effect})" for whose, effect in rendered)
         seen = f", but rendered changes are clear: {listed}" if rendered else ""
-        return [f"{unranked}{seen}; {gradient_advice(self.attribution) or MORE_SAMPLES}", *notes]
+        advice = gradient_advice(self.attribution) or MORE_SAMPLES
+        return [advised(f"{unranked}{seen}", advice), *notes]
 
     def _named_of(self, hiding: Sequence[RankedParameter], smallest: float) -> list[RankedParameter]:
         """Return the effects that are named, of those that may be as large as the smallest that is stated."""
@@ -226,7 +229,7 @@ class EffectSentences:
         listed = f"; the largest: {', '.join(named)}" if len(hiding) > 1 and named else ""
         size = f"{rounded(smallest, 2)} {unit_of_effect(self.attribution)}".rstrip()
         remedy = self._remedy(hiding, leading, smallest)
-        return f"{which} may have an effect of {size} or more within two errors{listed}; {remedy}"
+        return advised(f"{which} may have an effect of {size} or more within two errors{listed}", remedy)
 
     def _remedy(
         self, hiding: Sequence[RankedParameter], leading: Sequence[RankedParameter], smallest: float

@@ -11,6 +11,7 @@ from ..estimation import TOO_NOISY
 from ..metrics import NO_SOURCE
 from ..protocols import Attribution
 from ..visualization import (
+    advised,
     axis_label,
     format_with_error,
     metric_name,
@@ -191,14 +192,14 @@ class Explanation:
 
     def _which_to_quote(self) -> str:
         assert self.definition is not None
-        points, one, steps = self.definition.points, self.definition.step, ""
+        points, one, steps, finer = self.definition.points, self.definition.step, "", ""
         if one is not None:
-            few = ": choose a finer spacing" if points is not None and points < FEW_POINTS else ""
-            steps = f" (in steps of {self._in_unit(self._plain(one))}, one point{few})"
+            finer = "choose a finer spacing" if points is not None and points < FEW_POINTS else ""
+            steps = f" (in steps of {self._in_unit(self._plain(one))}, one point)"
         value, what = self._in_unit(self.value()), f"the value by the definition{steps}"
         caution = (self.attribution.info.get("picture") or {}).get("caution") or ""
         stated = f"{value} is {what}" if TOO_NOISY in caution else f"quote {value}, {what}"
-        return f"{stated}; the relaxed value {self._relaxed()} only serves the derivatives"
+        return advised(f"{stated}; the relaxed value {self._relaxed()} only serves the derivatives", finer)
 
     def value(self) -> str:
         """Return the value of the headline, without its unit, such as ``'24.78 ± 0.01'``."""

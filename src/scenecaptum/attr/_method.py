@@ -26,6 +26,8 @@ from ..estimation import (
     Planner,
     Point,
     Progress,
+    Rounds,
+    SampleOption,
     Sampling,
     Stream,
     Target,
@@ -322,6 +324,7 @@ class Run:
                     standard_error=evaluation.pixel_error,
                     metric=metric,
                     image=evaluation.image,
+                    option=self._sample_option(gradients, evaluation),
                     shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
                 ),
                 "interrupted": interrupted,
@@ -330,6 +333,30 @@ class Run:
             },
         )
         return attribution if self.members is None else sum_groups(attribution, self.members)
+
+    def _sample_option(
+        self, gradients: GradientEstimator, evaluation: InputEvaluation
+    ) -> SampleOption | None:
+        """Return the option to set for more samples of the picture at the inputs; None if they are not counted.
+
+        ``picture_spp=`` is that of the picture alone. Without it, the picture of a single point has a multiple of
+        ``spp=``, and that of many at least as many. With a goal, ``spp=`` is of the first round only.
+        """
+        samples = gradients.total_image_spp
+        if samples is None:
+            return None
+        has_goal = isinstance(gradients, Rounds)
+        instead = " in place of a goal" if has_goal else ""
+        if (picture_spp := self.settings.picture_spp) is not None:
+            if gradients.n_points > 1 and not has_goal and gradients.extra_spp:
+                # Points at which the metric is linear take no extra samples.
+                return SampleOption("picture_spp", picture_spp * samples / gradients.extra_spp)
+            return SampleOption("picture_spp", samples, instead)
+        if gradients.n_points > 1 and not has_goal:
+            return SampleOption("spp", max(samples, MIN_METRIC_SPP))
+        adjoints = evaluation.adjoints
+        ratio = 1.0 if adjoints.is_linear else gradients.default_ratio(denoises=adjoints.transform.denoises)
+        return SampleOption("spp", samples / ratio, instead)
 
     def return_results(self, results: list[SceneAttribution], *, interrupted: bool) -> Result:
         """Return one result or a list, as requested; raise AttributionInterrupted after an interruption."""

@@ -15,6 +15,7 @@ from ..errors import SceneCaptumError
 from ..estimation import (
     Budget,
     Metric,
+    SampleOption,
     TargetedMetric,
     TransformSelector,
     at_values,
@@ -207,6 +208,7 @@ class Perturbation:
                 metric=measured.metrics[index],
                 image=measured.image,
                 noise=measured.noise,
+                option=None if measured.budget.total is None else SampleOption("spp", measured.budget.total),
                 compares=True,
                 shows_a_view=Capabilities(self.renderer).shows_a_view is not False,
             ),

@@ -40,13 +40,13 @@ from ._renders import renders_like
 REPORT = "comparison.html"
 COMMON_NAMES = ("scene", "attribution", "design")
 MEASURED = (
-    "The change comes from separate renders of both designs with the same random numbers, in which most of the "
-    "noise cancels: it can differ from the difference of the two values, by about their errors."
+    "The change comes from separate renders of both designs with the same random numbers{}: it can differ from "
+    "the difference of the two values, by about their errors."
 )
 BY_DEFINITION = (
-    "The values by the definition come from separate renders of both designs with the same random numbers, in "
-    "which most of the noise of their change cancels."
+    "The values by the definition come from separate renders of both designs with the same random numbers{}."
 )
+MOST = 0.5  # of the error of a change without common random numbers
 
 
 def add(commands: Any) -> None:
@@ -159,9 +159,24 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         for one, of_definition in zip((before, after), both, strict=True)
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
-    measured = MEASURED if exact is None else BY_DEFINITION
+    if exact is None:
+        measured = MEASURED.format(
+            _remaining(change[1], [one.metric_standard_error for one in (before, after)])
+        )
+    else:
+        values = [side.definition for side in sides if side.definition is not None]
+        measured = BY_DEFINITION.format(_remaining(exact[1], [one.error for one in values]))
     before, after = with_contradictions(before, after, change)
     return Compared(before, after, titles, *change, sides, measured, exact)
+
+
+def _remaining(error: float | None, errors: Sequence[float | None]) -> str:
+    """Return how much of the noise of two values is left in their change; empty if it is not known."""
+    if error is None or None in errors or not any(errors):
+        return ""
+    if error < MOST * math.hypot(*(one or 0.0 for one in errors)):
+        return ", in which most of the noise of the change cancels"
+    return ", in which half or more of the noise of the change remains"
 
 
 def _side(

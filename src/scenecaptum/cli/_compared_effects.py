@@ -20,6 +20,7 @@ from ..visualization import (
     jump_notes,
     metric_unit,
     pluralize,
+    prefixed,
     range_marked,
     range_notes,
     rounded,
@@ -33,7 +34,7 @@ LEADING = 5  # effects of each result that are shown whether they change or not
 SMALL = 0.01  # of the largest change of an effect: smaller ones are shown of leading effects only
 SIGNIFICANT = 2.0  # standard errors
 ROUNDING = 1e-5  # of both effects: a difference in single precision below this is not a change
-MANY_TIMES = 2.0  # the rendered change: a change to first order that is larger contradicts it
+MANY_TIMES = 2.0  # a change to first order and the rendered one that differ by more contradict each other
 NOISE = "◆"  # as in reports
 
 
@@ -111,7 +112,7 @@ def effect_table(
     of_what = ", of the relaxed value" if relaxed else ""
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
     below = [f"{mark} {text}" for text, mark in caution_marks(cautions).items()]
-    below += [f"~ {note}" for note in notes]
+    below += [prefixed("~ ", note) for note in notes]
     below += [f"{NOISE} change within the noise"] if is_noisy else []
     return Table(
         f"effect: {axis_label(after, width=None)}{of_what}",
@@ -154,8 +155,8 @@ def with_contradictions(
 ) -> tuple[SceneAttribution, SceneAttribution]:
     """Return both results with a note on the parameters that were set, where the rendered change contradicts them.
 
-    It does if the change to first order, from the derivatives of a result, is of the other sign or larger by a
-    factor of 2. ``rendered`` is the change of the metric and its standard error.
+    It does if the change to first order, from the derivatives of a result, is of the other sign, or larger or
+    smaller by a factor of 2. ``rendered`` is the change of the metric and its standard error.
     """
     names = different_values(before, after)
     (change, error), unit = rendered, f" {unit_of_change(metric_unit(after))}".rstrip()
@@ -200,12 +201,13 @@ def _first_order_change(
 
 
 def _contradicts(predicted: float, predicted_error: float, change: float, error: float) -> bool:
-    """Whether a change to first order is of the other sign or more than twice as large, clear of both errors."""
-    least = abs(predicted) - SIGNIFICANT * predicted_error
-    if least <= 0:
-        return False
-    is_opposite = predicted * change < 0 and abs(change) > SIGNIFICANT * error
-    return is_opposite or least > MANY_TIMES * (abs(change) + SIGNIFICANT * error)
+    """Whether two changes differ in sign, or by more than a factor of 2, clear of the errors of both."""
+    sizes = [(abs(predicted), SIGNIFICANT * predicted_error), (abs(change), SIGNIFICANT * error)]
+    is_opposite = predicted * change < 0 and all(size > noise for size, noise in sizes)
+    return is_opposite or any(
+        size - noise > MANY_TIMES * (other + other_noise)
+        for (size, noise), (other, other_noise) in (sizes, sizes[::-1])
+    )
 
 
 def _shown(found: Sequence[ComparedEffect], moved: Sequence[str]) -> list[ComparedEffect]:
@@ -265,7 +267,7 @@ def _of_both(
     found: dict[str, list[str]] = {}
     for title, notes in zip(titles, (first, second), strict=True):
         for text, names in notes.items():
-            note = text if text in first and text in second else f"{title}: {text}"
+            note = text if text in first and text in second else prefixed(f"{title}: ", text)
             found[note] = list(dict.fromkeys([*found.get(note, []), *names]))
     return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -47,12 +48,18 @@ def draw_plan(
         grid.plan,
         grid.inside,
         levels=shown.levels,
-        title="\n".join(filter(None, [shown.label[0].upper() + shown.label[1:], shown.counts])),
+        title=_title(shown),
         label=shown.label,
         axes=grid.axes,
         width=width,
         error=error,
     )
+
+
+def _title(shown: PlanValues) -> str:
+    """Return what a plan shows and which points count; units stay on the lines of what they are of."""
+    label = re.sub(r" (?=lx\b|in %$|%$)", "\u00a0", shown.label[0].upper() + shown.label[1:])
+    return "; ".join(filter(None, [label, shown.counts]))
 
 
 def plan_of(

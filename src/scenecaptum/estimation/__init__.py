@@ -32,6 +32,7 @@ from ._heavy_tails import has_dominating_replicate as has_dominating_replicate
 from ._heavy_tails import rows_of_median as rows_of_median
 from ._image_info import THIS_METRIC as THIS_METRIC
 from ._image_info import TOO_NOISY as TOO_NOISY
+from ._image_info import SampleOption as SampleOption
 from ._image_info import describe_picture as describe_picture
 from ._image_info import pixel_error as pixel_error
 from ._image_info import relative_noise as relative_noise

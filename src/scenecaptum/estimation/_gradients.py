@@ -450,9 +450,13 @@ class GradientEstimator:
         """Return the samples of the metric image per sample of the backward pass."""
         if self.budget.picture_ratio is not None:
             return self.budget.picture_ratio
+        return self.default_ratio(denoises=self.transform_selector.select(images).denoises)
+
+    def default_ratio(self, *, denoises: bool) -> float:
+        """Return the samples of the image of a single point per sample of the backward pass, by default."""
         if self.metrics[0].is_smoothed:
             return SMOOTHED_PICTURE_RATIO
-        return NOISY_PICTURE_RATIO if self.transform_selector.select(images).denoises else PICTURE_RATIO
+        return NOISY_PICTURE_RATIO if denoises else PICTURE_RATIO
 
     def _min_metric_spp(self, index: int) -> int:
         """Return the minimum samples per pixel for a non-linear metric at one of several points."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -19,6 +19,25 @@ TOO_NOISY = "is too noisy for"
 THIS_METRIC = "this metric"
 _NEGLIGIBLE = 0.01  # of the value: a bias that needs no caution
 _FLOOR = 0.01  # of the mean brightness: the relative noise of darker pixels does not count
+
+
+class SampleOption(NamedTuple):
+    """The option that the samples of a picture grow with: ``keyword=value`` gives as many as the picture has.
+
+    ``instead`` follows where another option that is set has to be left out.
+    """
+
+    keyword: str
+    value: float
+    instead: str = ""
+
+    def times(self, factor: float) -> str:
+        """Return ``"use spp=3360 or more"`` for a picture of ``factor`` times the samples."""
+        return f"use {self.keyword}={math.ceil(factor * self.value)} or more{self.instead}"
+
+
+def _more_samples(option: SampleOption | None, factor: int) -> str:
+    return f"use at least {factor} times the samples" if option is None else option.times(factor)
 
 
 def relative_noise(images: Sequence[torch.Tensor]) -> float | None:
@@ -60,6 +79,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     standard_error: float | None = None,
     metric: TargetedMetric | None = None,
     image: torch.Tensor | None = None,
+    option: SampleOption | None = None,
     compares: bool = False,
     shows_a_view: bool = True,
 ) -> dict[str, Any]:
@@ -67,16 +87,22 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
 
     ``transform``, ``value``, ``drift`` and ``denoised`` are as in ``Adjoints``; ``interval`` is the 95 % interval
     of the value, ``noise`` the relative noise of the pixels, ``standard_error`` as of ``pixel_error``, and
-    ``metric`` may have classes of its values and cautions of its own, also of the ``image``. ``compares`` says
+    ``metric`` may have classes of its values and cautions of its own, also of the ``image``. ``option`` is the one
+    to set for more samples; it is not known of a renderer that does not say how many it takes. ``compares`` says
     that the effects are differences of values, which have its bias, and ``shows_a_view`` that it is a picture.
+
+    The ``caution`` says what is doubtful, and the ``advice`` what to do.
     """
     raw, smooth = transform.raw_error, transform.denoised_error
     measure, own = (None, None) if metric is None else (metric.measure, metric.caution)
     if metric is not None and image is not None:
         own = metric.caution_of(image)
-    noisy = _differs(value, drift, spp, denoised, compares=compares) or _too_wide(interval, measure)
+    noisy, factor = _differs(value, drift, spp, denoised, compares=compares, option=option)
+    advice = _more_samples(option, factor) if factor else None
+    noisy = noisy or _too_wide(interval, measure)
     if not noisy and metric is not None:
-        noisy = _above_tolerance(noise, transform, metric.tolerated_noise)
+        noisy, factor = _above_tolerance(noise, transform, metric.tolerated_noise)
+        advice = None if not noisy else _more_samples(option, factor) if factor > 1 else "do not denoise"
     if noisy:
         noisy = f"the {'picture' if shows_a_view else 'result'} {TOO_NOISY} {THIS_METRIC}: {noisy}"
     if noisy and compares:
@@ -88,6 +114,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
         "relative_error_denoised": None if smooth is None else smooth**0.5,
         "pixel_error": standard_error,
         "caution": own or noisy,
+        "advice": None if own else advice,
     }
 
 
@@ -98,47 +125,57 @@ def _differs(
     denoised: float | None,
     *,
     compares: bool,
-) -> str | None:
+    option: SampleOption | None,
+) -> tuple[str | None, int]:
     """Return the values if the metric differs significantly at half of the samples, or after denoising.
 
+    Also return how many times the samples it needs, or 0. Samples are counted only where the picture has as many
+    as were asked for.
     The error of the value contains the difference. So it needs no caution if it is less than a percent of the
     value, unless the method ``compares`` values: of their differences it may be a large part.
     """
     if drift is None:
-        return None
+        return None, 0
     change, error = drift
     noise = max(SIGNIFICANT_DRIFT * error, ROUNDING * abs(value))
     limit = noise if compares else max(noise, _NEGLIGIBLE * abs(value))
     if abs(change) > limit:
-        half, full = ("half of the samples", "all") if spp is None else (f"{spp / 2:g} spp", f"{spp} spp")
+        is_asked = spp is not None and option is not None and spp == option.value
+        half, full = (
+            (f"{spp / 2:g} spp", f"{spp} spp") if spp and is_asked else ("half of the samples", "all")
+        )
         # The bias falls with the number of samples, the noise with its square root.
         factors = [(change / noise) ** 2] if noise else []
         factors += [] if compares or not value else [abs(change) / (_NEGLIGIBLE * abs(value))]
-        advice = f": use at least {math.ceil(min(factors))} times the samples" if factors else ""
-        return f"{rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}{advice}"
+        said = f"{rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}"
+        return said, math.ceil(min(factors, default=0.0))
     if denoised is not None and abs(denoised - value) > limit:
-        return f"{rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised"
-    return None
+        return f"{rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised", 0
+    return None, 0
 
 
-def _above_tolerance(noise: float | None, transform: ImageTransform, tolerated: float | None) -> str | None:
-    """Return the error of the pixels if it is larger than a metric tolerates, and the samples to use.
+def _above_tolerance(
+    noise: float | None, transform: ImageTransform, tolerated: float | None
+) -> tuple[str | None, int]:
+    """Return the error of the pixels if it is larger than a metric tolerates, and how many samples it needs.
+
+    The latter is a multiple of those it has: 1 or less if only the denoiser is at fault.
 
     That of a denoised image is the one measured at half of its samples: the denoiser's bias hardly falls with
     them. At the number of samples that is advised, the image is good enough as rendered.
     """
     if noise is None or tolerated is None:
-        return None
+        return None, 0
     is_denoised = transform.denoises and transform.denoised_error is not None
     used = math.sqrt(transform.denoised_error or 0.0) if is_denoised else noise
     if used <= tolerated:
-        return None
+        return None, 0
     factor = math.ceil((noise / tolerated) ** 2)
     decimals = next((d for d in range(3) if round(100 * used, d) > round(100 * tolerated, 3)), 3)
     return (
         f"the {'error of a denoised' if is_denoised else 'noise of a'} pixel is {100 * used:.{decimals}f} %, and "
-        f"more than {rounded(100 * tolerated)} % biases it: "
-        f"{f'use {factor} times the samples' if factor > 1 else 'do not denoise'}"
+        f"more than {rounded(100 * tolerated)} % biases it",
+        factor,
     )
 
 

@@ -31,7 +31,7 @@ from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
-from ..visualization import rounded
+from ..visualization import advised, rounded
 from ._changes import propose, rendered
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
@@ -242,8 +242,10 @@ def photometric_premises(
     premises += threshold_notes(metric, image if shown is None else shown)
     if isinstance(metric, VerticalIlluminance) and not metric.camera.sees_hemisphere:
         premises.append(
-            f"only light from within the camera's field of view of {metric.camera.fov:.0f}° counts; for all light "
-            "that reaches the eye, use a fisheye camera"
+            advised(
+                f"only light from within the camera's field of view of {metric.camera.fov:.0f}° counts",
+                "for all light that reaches the eye, use a fisheye camera",
+            )
         )
     if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer) and renderer.has_point_lamps:
         premises.append(POINT_LAMPS)

@@ -8,7 +8,7 @@ from ..daylight import DaylightMetric
 from ..estimation import Metric
 from ..grid import GridPoints
 from ..rendering import SceneRenderer
-from ..visualization import rounded
+from ..visualization import advised, rounded
 
 MADE_UP = "made-up, of no real place; the results hold for your place only with its own weather file"
 
@@ -27,8 +27,11 @@ def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
         return (line,)
     return (
         line,
-        f"caution: {points.open_above} of the {count} points have nothing above them, no ceiling and no glass: if "
-        "they are to be in a room, choose a grid that is no larger than the room",
+        advised(
+            f"caution: {points.open_above} of the {count} points have nothing above them, no ceiling and no glass",
+            "if they are to be in a room, choose a grid that is no larger than the room",
+            ": ",
+        ),
     )
 
 

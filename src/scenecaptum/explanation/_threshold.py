@@ -8,7 +8,7 @@ import torch
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
-from ..visualization import rounded
+from ..visualization import advised, rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
@@ -26,8 +26,11 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
         remedy = "check the scene's units, or use "
         remedy += f"a threshold factor of {FACTOR:g}" if factor is None else "a smaller threshold factor"
         return [
-            f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
-            f"source; {remedy}"
+            advised(
+                f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
+                "source",
+                remedy,
+            )
         ]
     if note := near_threshold_note(metric, image):
         return [f"{note}; {relative_sentence(metric, image)}"]
@@ -58,8 +61,11 @@ def single_sample_notes(metric: GlareRating, image: torch.Tensor, other: torch.T
     if there > main.luminance / LASTING:
         return ()
     return (
-        f"caution: bright single samples make the main glare source, of {rounded(main.luminance)} cd/m²: in "
-        f"another render its pixels have {rounded(there)} cd/m²; use more samples",
+        advised(
+            f"caution: bright single samples make the main glare source, of {rounded(main.luminance)} cd/m²: in "
+            f"another render its pixels have {rounded(there)} cd/m²",
+            "use more samples",
+        ),
     )
 
 

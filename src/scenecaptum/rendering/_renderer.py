@@ -68,7 +68,9 @@ from ._sensors import (
 
 T = TypeVar("T")
 
-_NO_LAMPS = "daylight coefficients are per unit radiance of the sky, whatever its own is, and leave lamps out"
+_NO_LAMPS = (
+    "daylight coefficients are per unit radiance of the sky, which the weather sets, and leave lamps out"
+)
 
 
 class SceneRenderer(SceneOwner, torch.nn.Module):

@@ -29,6 +29,7 @@ from ..visualization import (
     caution_groups,
     color_of,
     convergence_notes,
+    findings,
     group_notes,
     is_of_camera,
     jump_notes,
@@ -143,8 +144,10 @@ def _comparison(before: Attribution, after: Attribution, comparison: Comparison)
         "error": _number(comparison.standard_error),
         "written": signed_with_error(comparison.change, comparison.standard_error),
         "unit": unit_of_change(metric_unit(before)),
-        "notes": list(comparison.notes),
-        "effects": None if comparison.effects is None else vars(comparison.effects),
+        "notes": findings(comparison.notes),
+        "effects": None
+        if comparison.effects is None
+        else {**vars(comparison.effects), "notes": findings(comparison.effects.notes)},
         "values": [
             {
                 "name": name,
@@ -237,7 +240,9 @@ def _result(
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
         "rankedUnit": _effect_unit(attribution),
         # The first section is the headline, which stands on top anyway.
-        "explanation": [] if explanation is None else explanation.sections()[1:],
+        "explanation": []
+        if explanation is None
+        else [(heading, findings(lines)) for heading, lines in explanation.sections()[1:]],
         "quantity": attribution.kind.value,
         "axis": _axis(attribution, explanation),
         "signs": sign_labels(attribution),
@@ -245,11 +250,11 @@ def _result(
         "error": _number(attribution.metric_standard_error),
         "written": _headline(attribution, explanation),
         "method": method_name(attribution),
-        "sampling": sampling_notes(attribution),
-        "convergence": [*convergence_notes(attribution), *baseline_notes(attribution)],
+        "sampling": findings(sampling_notes(attribution)),
+        "convergence": findings([*convergence_notes(attribution), *baseline_notes(attribution)]),
         "groupNotes": group_notes(attribution, attribution),
         "cautions": list(cautions),
-        "rangeNotes": list(of_range),
+        "rangeNotes": findings(of_range),
         "jumps": jump_notes(attribution),
         "sceneCautions": scene_cautions(attribution),
         "doubts": list(untrusted),
@@ -276,7 +281,16 @@ def _result(
         "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in object_rows[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
-        "info": plain(attribution.info),
+        "info": plain(_without_advice(attribution.info)),
+    }
+
+
+def _without_advice(info: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings without what a metric and a noisy picture advise to do: a page is for others, too."""
+    return {
+        key: _without_advice(value) if key == "picture" and isinstance(value, Mapping) else value
+        for key, value in info.items()
+        if key != "advice"
     }
 
 
@@ -296,8 +310,8 @@ def _effect_unit(attribution: Attribution) -> str:
 
 def _premises(explanation: Explanation) -> list[str]:
     """Return the notes on the value without those on noise, which every result has in another place."""
-    noise = noise_notes(explanation.attribution)
-    return [note for note in explanation.notes() if note not in noise]
+    noise = findings(noise_notes(explanation.attribution))
+    return [note for note in findings(explanation.notes()) if note not in noise]
 
 
 def _headline(attribution: Attribution, explanation: Explanation | None) -> tuple[str, str]:

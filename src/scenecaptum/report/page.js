@@ -109,6 +109,12 @@ function drawPlan() {
   byId("main").classList.toggle("plan", isPlan);
   byId("picture").hidden = isPlan;
   byId("plan").hidden = !isPlan;
+  const isOneOf = isPlan && results.length > 1;
+  byId("plan-of").hidden = !isOneOf;
+  if (isOneOf) {
+    byId("plan-of").replaceChildren(make("span", { class: "result-title" }, result().title),
+      make("span", { class: "muted hint" }, "Click another card above to see its plan."));
+  }
   if (!isPlan) return;
   byId("plan").src = data.pictures[result().picture];
   byId("plan").style.maxWidth = `min(100%, ${view().width / PLAN_SCALE}px)`;

@@ -163,10 +163,23 @@ function drawScale(result, scale) {
   byId("caption").replaceChildren(...captionOf(result, scale));
 }
 
+const NEGLIGIBLE = 0.01; // relative to the largest effect
+
+/** What the map leaves neutral though it matters: a window whose sky is seen through its glass, for example. */
+function seenOnlyThrough(result) {
+  return result.rows.flatMap((row, index) => (row.seenThrough && !objectsOf(result, index).length
+    && row.saliency > NEGLIGIBLE * result.rows[0].saliency ? [`${row.label} (#${index + 1})`] : []));
+}
+
 function captionOf(result, scale) {
   const axis = result.axis.charAt(0).toUpperCase() + result.axis.slice(1);
   const pointing = result.arrows.length ? ["; arrows: where moving an object raises the metric most"] : [];
-  if (result.isNoise && !scale.texels) pointing.push(". No effect is clear enough to stand out among so many: a colour may be due to chance.");
+  const behind = seenOnlyThrough(result);
+  const sentences = [
+    behind.length ? `Not on the map, seen only behind glass or mirrored: ${firstFew(behind)}.` : "",
+    result.isNoise && !scale.texels ? "No effect is clear enough to stand out among so many: a colour may be due to chance." : "",
+  ].filter(Boolean);
+  if (sentences.length) pointing.push(`. ${sentences.join(" ")}`);
   if (!scale.signed) return [axis, ...pointing];
   const unclear = result.objects.filter((one) => one.magnitude && !one.signed).length;
   if (unclear && !scale.texels) pointing.unshift(`; white: sign lost in the noise (${unclear} ${unclear === 1 ? "object" : "objects"})`);

@@ -76,7 +76,7 @@ function drawRow(result, index, handlers) {
     make("td", { class: "rank" }, String(index + 1)),
     make("th", { class: "label", scope: "row", title: row.name },
       make("div", {}, ...breakable(row.label), ...markOf(row, result), seen || row.isCamera ? null : make("span", { class: "tag" }, row.seenThrough ? "behind glass or mirrored" : "not in view")), valueOf(row)),
-    make("td", { class: "saliency" }, row.saliency ? drawBar(row, result) : null, make("span", { class: "number" }, signMark(row, result), withError(row.written))),
+    make("td", { class: "saliency" }, row.saliency ? drawBar(row, result) : null, make("span", { class: "number" }, ...numberOf(row, result))),
     make("td", { class: "gradient" }, ...channelsOf(row)));
   line.addEventListener("click", () => handlers.select(index));
   line.addEventListener("pointerenter", (event) => event.pointerType === "mouse" && handlers.preview(index));
@@ -85,6 +85,13 @@ function drawRow(result, index, handlers) {
   line.addEventListener("blur", () => handlers.preview(null));
   line.addEventListener("keydown", (event) => rowKey(event, line, () => handlers.select(index)));
   return line;
+}
+
+/** The number of a row and its error, which may stand below it in a narrow table: neither breaks. */
+function numberOf(row, result) {
+  const [value, error] = withError(row.written).split(" ± ");
+  const parts = [make("span", { class: "whole" }, signMark(row, result), value)];
+  return error === undefined ? parts : [...parts, " ", make("span", { class: "whole" }, `± ${error}`)];
 }
 
 /** Return what the three numbers of a row are: channels of a colour or, of a pose, along the axes; else nothing. */

@@ -22,7 +22,7 @@ from ..explanation import (
 )
 from ..metrics import GlareRating
 from ..rendering import SceneRenderer
-from ..visualization import convergence_notes, pluralize
+from ..visualization import advised, convergence_notes, findings, pluralize
 from ._cell_effects import CellResults
 from ._recipe import Cell
 
@@ -61,14 +61,24 @@ def described(
         measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
         notes = (RELAXED if isinstance(metric.metric, GlareRating) else RELAXED_DAYLIGHT, *notes)
     notes += sky_premises(metric.metric, made_up=made_up) + grid_premises(renderer) + _depth(renderer)
-    if caution := (info.get("picture") or {}).get("caution") or metric.caution:
-        notes = (f"{CAUTION}{caution}", *notes)
-    cautions = [note.removeprefix(CAUTION) for note in notes if note.startswith(CAUTION)]
-    said = {"measure": measure, "verdict": verdict, "notes": list(notes), "cautions": cautions}
+    picture = info.get("picture") or {}
+    if caution := picture.get("caution") or metric.caution:
+        notes = (advised(f"{CAUTION}{caution}", picture.get("advice"), ": "), *notes)
+    said = {"measure": measure, "verdict": verdict, **_told_apart(notes)}
     if not has_absolute_threshold(metric.metric):
         return said
     near = near_threshold_note(metric.metric, shown)
     return {**said, "relative_rating": relative_rating(metric.metric, shown), "threshold_note": near}
+
+
+def _told_apart(notes: Sequence[str]) -> dict[str, Any]:
+    """Return notes and cautions without advice, and of those that have any their whole text."""
+    plain = findings(notes)
+    return {
+        "notes": plain,
+        "cautions": [note.removeprefix(CAUTION) for note in plain if note.startswith(CAUTION)],
+        "advised": {one: str(note) for one, note in zip(plain, notes, strict=True) if one != note},
+    }
 
 
 def _depth(renderer: SceneRenderer) -> tuple[str, ...]:
@@ -80,8 +90,12 @@ def _depth(renderer: SceneRenderer) -> tuple[str, ...]:
 def convergence_of(attribution: SceneAttribution) -> dict[str, str]:
     """Return whether the effects of a cell add up, and the note that says so if they do not."""
     verdict = attribution.info.get("convergence") or ""
-    note = "; ".join(convergence_notes(attribution)) if verdict == DOES_NOT_ADD_UP else ""
-    return {"convergence": verdict, "convergence_note": note}
+    notes = convergence_notes(attribution) if verdict == DOES_NOT_ADD_UP else []
+    return {
+        "convergence": verdict,
+        "convergence_note": "; ".join(findings(notes)),
+        "convergence_advised": "; ".join(notes),
+    }
 
 
 def columns_of(numbers: Mapping[str, Any]) -> dict[str, str]:
@@ -118,17 +132,22 @@ def count_of_cautions(result: CellResults, cells: Iterable[Cell]) -> str:
     return "; ".join(part.format("" if index else of_all) for index, part in enumerate(parts))
 
 
-def notes_of(result: CellResults, cells: Iterable[Cell]) -> list[str]:
+def notes_of(result: CellResults, cells: Iterable[Cell], *, with_advice: bool = True) -> list[str]:
     """Return the notes on the values of some cells, each with the cells that it is of; cautions come first.
 
-    Cautions that differ in their numbers only are one note.
+    Cautions that differ in their numbers only are one note. Pages for others are without advice.
     """
     kinds: dict[str, list[tuple[str, str]]] = {}
+    whole: dict[str, str] = {}
     for cell in cells:
-        for note in _notes(result.numbers(cell)):
+        numbers = result.numbers(cell)
+        if with_advice:
+            note = numbers.get("convergence_note", "")
+            whole |= {**numbers.get("advised", {}), note: numbers.get("convergence_advised", note)}
+        for note in _notes(numbers):
             kinds.setdefault(_kind(note), []).append((note, str(cell)))
     ordered = sorted(kinds.values(), key=lambda pairs: not _is_doubt(pairs[0][0]))
-    lines = [f"{pairs[0][0]} ({_which(pairs)})" for pairs in ordered]
+    lines = [f"{whole.get(pairs[0][0], pairs[0][0])} ({_which(pairs)})" for pairs in ordered]
     more = len(lines) - MOST_NOTES
     return lines if more <= 0 else [*lines[:MOST_NOTES], f"{pluralize(more, 'more note')} on single cells"]
 

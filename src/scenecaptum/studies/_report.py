@@ -19,7 +19,7 @@ from ..errors import SceneCaptumError
 from ..explanation import FACTOR
 from ..files import atomic_write, write_error
 from ..report import encode_figure, fill_template, write_report
-from ..visualization import format_with_error, pluralize, rounded
+from ..visualization import findings, format_with_error, pluralize, rounded
 from ._cell_effects import CellResults, Group
 from ._figures import MIN_GROUPS, plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._notes import columns_of, count_of_cautions, mark_of, notes_of
@@ -107,7 +107,7 @@ def _index(result: Reported, index: Path, group: Group) -> str:
     numeric = (*values, "seconds", "seed")
     script = _resource("index.js")
     rows = [*_rows(result, index, axes, values, marks)]
-    notes = notes_of(result, result.cells)
+    notes = notes_of(result, result.cells, with_advice=False)
     if summary is None and (count := count_of_cautions(result, result.cells)):
         notes = [f"! {count}", *notes]
     name = html.escape(result.folder.resolve().name or str(result.folder))
@@ -149,7 +149,7 @@ def _counts(result: Reported) -> str:
 def _summary(summary: Summary) -> str:
     tables = "\n".join(_table(rows, f"summary-{n}") for n, (_, rows) in enumerate(summary.by_question()))
     # What the values take for granted stands below the table that has them.
-    shown = dataclasses.replace(summary, premises=()).notes()
+    shown = findings(dataclasses.replace(summary, premises=()).notes())
     notes = "".join(f"<p>{html.escape(note)}</p>" for note in shown)
     return (
         f'<section aria-labelledby="summary-heading"><h2 id="summary-heading">Over all rooms</h2>\n{tables}\n'

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..errors import SceneCaptumError, near_misses
 from ..visualization import (
     Format,
+    advised,
     align_decimals,
     align_with_errors,
     first_few,
@@ -248,9 +249,8 @@ class Summary:
         for note, names in unknown.items():
             notes.append(f"{_UNKNOWN} {note}{_where(names, groups)}")
         if lopsided := [row.label for row in self.rows if row.is_lopsided]:
-            notes.append(
-                f"! one room has most of the weight{_where(lopsided, groups)}: give the noisy rooms more samples"
-            )
+            most = f"! one room has most of the weight{_where(lopsided, groups)}"
+            notes.append(advised(most, "give the noisy rooms more samples", ": "))
         for reason, names in group_by_text(self.doubts).items():
             some = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
             notes.append(

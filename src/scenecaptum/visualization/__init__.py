@@ -95,7 +95,9 @@ from ._specificity import plot_specificity as plot_specificity
 from ._table import STYLE as STYLE
 from ._table import table_html as table_html
 from ._table import table_text as table_text
+from ._text import advised as advised
 from ._text import axis_label as axis_label
+from ._text import findings as findings
 from ._text import is_of_camera as is_of_camera
 from ._text import method_name as method_name
 from ._text import metric_line as metric_line
@@ -104,6 +106,7 @@ from ._text import metric_symbol as metric_symbol
 from ._text import metric_unit as metric_unit
 from ._text import pack as pack
 from ._text import pluralize as pluralize
+from ._text import prefixed as prefixed
 from ._text import sign_labels as sign_labels
 from ._text import unit_of_change as unit_of_change
 from ._text import verdict as verdict

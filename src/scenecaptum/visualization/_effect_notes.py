@@ -8,13 +8,14 @@ from collections.abc import Collection, Mapping, Sequence
 from ..protocols import Attribution, ResultKind, Scale
 from ..student import clear_from
 from ._layout import first_few
-from ._text import LARGE_ERROR, OF_DIFFERENCES, metric_symbol
+from ._text import LARGE_ERROR, OF_DIFFERENCES, advised, metric_symbol
 
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 # Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
 _LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
 _MAP_NDIM = 3
+RENDER = "render the change"
 _NOTABLE = 0.1  # of the largest effect
 
 
@@ -58,12 +59,12 @@ def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
     if not noisy:
         return {}
     # Alone, its paths are sampled so that they find the lamps, which those of many inputs do not.
-    alone = (
-        "the error of this roughness is large among many inputs and smaller if you select it alone"
+    large, alone = (
+        ("the error of this roughness is large", "it is smaller if you select it alone")
         if len(noisy) == 1
-        else "the errors of these roughnesses are large among many inputs and smaller if you select each alone"
+        else ("the errors of these roughnesses are large", "they are smaller if you select each alone")
     )
-    return {f"{alone}: {_named(attribution, noisy)}": noisy}
+    return {advised(f"{large} among many inputs: {_named(attribution, noisy)}", alone): noisy}
 
 
 def _named(attribution: Attribution, names: Sequence[str], *, of: int | None = None) -> str:
@@ -95,9 +96,10 @@ def _light_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
     off = [name for name in attribution.info.get("lights_off", ()) if name in shown and name not in rendered]
     if not off:
         return {}
-    note = (
+    note = advised(
         f"{_named(attribution, off)}: off, and {metric_symbol(attribution)} is not linear in the light: to first "
-        "order, the effect of switching it on may be far off, even in its sign; render the change"
+        "order, the effect of switching it on may be far off, even in its sign",
+        RENDER,
     )
     return {note: off}
 
@@ -114,9 +116,11 @@ def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
     local = [name for name in attribution.info.get("local", ()) if name in shown]
     if not local:
         return {}
-    note = (
+    note = advised(
         f"{_named(attribution, local)}: the gradient at this value does not hold over its range, over which the "
-        "picture moves by several pixels; the effect may be quite different: render the change"
+        "picture moves by several pixels; the effect may be quite different",
+        RENDER,
+        ": ",
     )
     return {note: local}
 
@@ -144,9 +148,10 @@ def _roughness_notes(
     small.sort(key=effects.__getitem__, reverse=True)
     notable = _NOTABLE * max(effects.values())
     named = [name for name in small if effects[name] > notable] or small[:1]
-    note = (
+    note = advised(
         f"{_named(attribution, named, of=len(small))}: a small roughness acts most near 0, so its effect over the "
-        "whole range is overstated; render the change, or measure an ablation with another roughness as baseline"
+        "whole range is overstated",
+        f"{RENDER}, or measure an ablation with another roughness as baseline",
     )
     return {note: small}
 
@@ -165,8 +170,9 @@ def _least_roughness_notes(attribution: Attribution, shown: Sequence[str]) -> di
     ]
     if not flat:
         return {}
-    note = (
+    note = advised(
         f"{_named(attribution, flat)}: Mitsuba renders a roughness this low as its lowest, so the derivative is 0 "
-        "and says nothing of the range; start from a higher one, or render the change"
+        "and says nothing of the range",
+        f"start from a higher one, or {RENDER}",
     )
     return {note: flat}

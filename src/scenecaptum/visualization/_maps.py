@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from ..projection import (
     objects_of_unclear_sign,
     used_by_objects,
 )
-from ..protocols import Attribution, Scale
+from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
 from ._arrows import arrows, draw_arrows
 from ._bars import bar_doubts
@@ -326,6 +326,7 @@ def _panels(
     pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
     notes = [
         _invisible_note(attribution, scale),
+        _seen_through_note(attribution, options),
         _unclear_note(attribution, options, unclear) if unclear else "",
         pointing,
         method_name(attribution),
@@ -396,16 +397,51 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
     if surfaces is None:
         return ""
     visible = surfaces.visible_parameters() | set(attribution.info.get("seen_through") or ())
-    groups = attribution.info.get("groups") or {}
-    ranking, allowed = attribution.ranking(scale=scale), clear_from(attribution.info)
+    allowed = clear_from(attribution.info)
     unseen = [
         row
-        for row in ranking
-        if visible.isdisjoint(groups.get(row.name, [row.name]))
-        and not is_of_camera(row.name)
-        and row.saliency > max(allowed * (row.saliency_error or 0.0), _NEGLIGIBLE * ranking[0].saliency)
+        for row in _without(attribution, visible, scale)
+        if row.saliency > allowed * (row.saliency_error or 0.0)
     ]
-    named = [row for row in unseen if row.rank <= _MOST_UNSEEN]
+    return _leading("not in the picture", unseen)
+
+
+def _seen_through_note(attribution: Attribution, options: dict[str, Any]) -> str:
+    """Return a note on what the map leaves out because pixels show it only behind glass or in a mirror.
+
+    A neutral window could be read as one that does not matter, also if the effect of its light is noisy.
+    """
+    surfaces = options.get("surfaces") or attribution.surfaces
+    behind, selected = set(attribution.info.get("seen_through") or ()), _selected(options)
+    if surfaces is None or not behind:
+        return ""
+    groups = attribution.info.get("groups") or {}
+    hidden = [
+        row
+        for row in _without(attribution, surfaces.visible_parameters(), options.get("scale"))
+        if behind.intersection(groups.get(row.name, [row.name]))
+        and (not selected or any(row.name == one or fnmatchcase(row.name, one) for one in selected))
+    ]
+    return _leading("not on the map, seen only behind glass or mirrored", hidden)
+
+
+def _without(
+    attribution: Attribution, visible: Collection[str], scale: Scale | None
+) -> list[RankedParameter]:
+    """Return the parameters or groups, other than the camera's and negligible ones, of which none is visible."""
+    groups, ranking = attribution.info.get("groups") or {}, attribution.ranking(scale=scale)
+    return [
+        row
+        for row in ranking
+        if not any(name in visible for name in groups.get(row.name, [row.name]))
+        and not is_of_camera(row.name)
+        and row.saliency > _NEGLIGIBLE * ranking[0].saliency
+    ]
+
+
+def _leading(what: str, rows: Sequence[RankedParameter]) -> str:
+    """Return a note that names those of the rows in the top three and counts the others; empty without any."""
+    named = [row for row in rows if row.rank <= _MOST_UNSEEN]
     if not named:
         return ""
     names = shorten([row.label for row in named], 60)
@@ -413,5 +449,5 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
         f"{name}, #{row.rank} with an effect of {format_with_error(row.saliency, row.saliency_error)}"
         for name, row in zip(names, named, strict=True)
     ]
-    more = len(unseen) - len(named)
-    return f"not in the picture: {'; '.join(parts)}{f'; and {more} more' if more else ''}"
+    more = len(rows) - len(named)
+    return f"{what}: {'; '.join(parts)}{f'; and {more} more' if more else ''}"

@@ -9,7 +9,7 @@ from typing import Any
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import first_few, group_by_text
 from ._numbers import format_with_error, rounded, rounded_up, with_error
-from ._text import LARGE_ERROR, OF_DIFFERENCES, hidden_of, pluralize
+from ._text import LARGE_ERROR, OF_DIFFERENCES, advised, hidden_of, pluralize
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
@@ -52,8 +52,9 @@ def _sample_counts(info: Mapping[str, Any]) -> list[str]:
 
 def noise_notes(attribution: Attribution) -> list[str]:
     """Return a caution if the metric image is too noisy for the metric."""
-    caution = (attribution.info.get("picture") or {}).get("caution")
-    return [f"caution: {caution}"] if caution else []
+    picture = attribution.info.get("picture") or {}
+    caution = picture.get("caution")
+    return [advised(f"caution: {caution}", picture.get("advice"), ": ")] if caution else []
 
 
 def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
@@ -155,11 +156,11 @@ def _advice(attribution: Attribution) -> list[str]:
     if not are_large:
         return []
     if attribution.kind in OF_DIFFERENCES:  # the metric's advice is about its gradient
-        large = f"the errors are large: more samples lower them, {_option('spp')}"
+        large = advised("the errors are large", f"more samples lower them, {_option('spp')}", ": ")
         return [] if noise_notes(attribution) else [large]
     has_path = ((attribution.info.get("budget") or {}).get("points") or 1) > 1
     more = f", and so do more samples of the pictures, {_option('picture_spp')}" if has_path else ""
-    return [f"the errors are large: {advice}{more}"]
+    return [advised("the errors are large", f"{advice}{more}", ": ")]
 
 
 def _option(keyword: str) -> str:
@@ -185,10 +186,10 @@ def convergence_notes(attribution: Attribution) -> list[str]:
     note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
     quadrature = attribution.info.get("quadrature_error")
     if error and quadrature and quadrature > error / 2:
-        note += ", mostly quadrature error: use more steps"
-    elif error and attribution.info.get("convergence") == "inconclusive":
+        return [advised(f"{note}, mostly quadrature error", "use more steps", ": ")]
+    if error and attribution.info.get("convergence") == "inconclusive":
         draws = " or more n_samples" if attribution.info.get("n_samples") else ""  # of random scenes
-        note += f", mostly noise: use more samples{draws}"
+        return [advised(f"{note}, mostly noise", f"use more samples{draws}", ": ")]
     return [note]
 
 

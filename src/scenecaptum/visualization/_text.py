@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, Self
 
 from ..protocols import Attribution, ResultKind, Scale
 from ._numbers import format_with_error, shorten
@@ -12,6 +12,39 @@ OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_
 LARGE_ERROR = 0.3  # of the norm of all effects, or of a parameter's own
 FINDING_WIDTH = 60  # maximum length of a name in a figure's title
 METRIC_WIDTH = FINDING_WIDTH  # and of a metric's on an axis, which keeps both classes of a difference
+
+
+class Advised(str):
+    """A note that ends with advice, such as what to run next; ``finding`` is what it says without it.
+
+    Terminals, tables and figures show all of it to those who run the software; pages for others, the finding.
+    """
+
+    finding: str
+    __slots__ = ("finding",)
+
+    def __new__(cls, finding: str, advice: str, between: str = "; ") -> Self:
+        """Return a note of a finding and the advice that follows it."""
+        note = super().__new__(cls, f"{finding}{between}{advice}")
+        note.finding = finding
+        return note
+
+
+def advised(finding: str, advice: str | None, between: str = "; ") -> str:
+    """Return a note of a finding and its advice, if there is any."""
+    return Advised(finding, advice, between) if advice else finding
+
+
+def prefixed(prefix: str, note: str) -> str:
+    """Return a note behind a prefix, such as a mark; its advice is still told from its finding."""
+    if not isinstance(note, Advised):
+        return f"{prefix}{note}"
+    return Advised(f"{prefix}{note.finding}", note.removeprefix(note.finding), "")
+
+
+def findings(notes: Iterable[str]) -> list[str]:
+    """Return notes without their advice."""
+    return [note.finding if isinstance(note, Advised) else note for note in notes]
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
