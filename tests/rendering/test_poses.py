@@ -19,6 +19,7 @@ from scenecaptum import (
     FeatureAblationScene,
     IntegratedGradientsScene,
     SceneRenderer,
+    SmoothGradScene,
     VanillaSceneGradient,
     metrics,
 )
@@ -578,6 +579,13 @@ def test_a_lamp_in_the_ceiling_is_marked(mi: Any) -> None:
     assert "light.pose.translation" not in [row.name for row in found.ranking()]
     assert "light.pose.scale" in [row.name for row in found.ranking()]
     assert "is not ranked" in str(found)
+
+
+def test_a_mean_gradient_over_noisy_scenes_has_no_derivative_at_a_jump_either(mi: Any) -> None:
+    renderer = SceneRenderer("cornell-box", "light.pose.translation", resolution=(16, 16), spp=64)
+    found = SmoothGradScene(renderer, metrics.MeanLuminance()).attribute(seed=shifted(), spp=256)
+    assert list(found.info["jumps"]) == ["light.pose.translation"]
+    assert not found.ranking()
 
 
 def test_what_is_at_the_end_of_twice_the_range_is_near(mi: Any) -> None:

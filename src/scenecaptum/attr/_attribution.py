@@ -309,7 +309,8 @@ def make_attribution(
         None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
     steps, local = StepErrors(), list[str]()
-    if has_errors and bias is not None and info.get("spp") and info.get("quantity") == ResultKind.GRADIENT:
+    are_gradients = info.get("quantity") in (ResultKind.GRADIENT, ResultKind.MEAN_GRADIENT)
+    if has_errors and bias is not None and info.get("spp") and are_gradients:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
         mean = {name: scaled(value, scale) for name, value in gradients.mean.items()}
         samples = {name: info["spp"] * gradients.share_of_samples(name) for name in names}
