@@ -474,7 +474,10 @@ def _blends() -> list[Case]:
                 _nested("blendbsdf", mirror, {"type": "roughplastic", "alpha": 0.3}, weight=0.4),
                 {"weight": 0.4, "bsdf_1.diffuse_reflectance": 0.5, "bsdf_1.eta": 1.49},
             ),
-            (_nested("blendbsdf", mirror, rough, weight=0.4), {"bsdf_1.specular_reflectance": 1.0}),
+            (
+                _nested("blendbsdf", mirror, {**rough, "specular_reflectance": 0.9}, weight=0.4),
+                {"bsdf_1.specular_reflectance": 0.9},
+            ),
         ),
         balls(
             "blendbsdf",
