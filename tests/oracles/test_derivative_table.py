@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from derivatives import (
     MitsubaReference,
     Ours,
     Outcome,
+    document,
     estimates,
     overview,
     z_score,
@@ -106,3 +108,14 @@ def test_the_summary_counts_verdicts_by_group() -> None:
 
 def test_groups_of_the_summary_are_plugins_of_the_table() -> None:
     assert {plugin for group in GROUPS.values() for plugin in group} <= {case.plugin for case in CASES}
+
+
+def test_a_page_keeps_the_tables_of_plugins_that_are_not_measured_again() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "derivatives.md").read_text()
+    again = document([], page)
+    assert again.split("## diffuse")[1] == page.split("## diffuse")[1]
+    measured = Outcome("mask/new", "mask", "ball.bsdf.opacity", 0.5, "0.05", "wrong")
+    changed = document([measured], page)
+    assert "| wrong | – | – | – |  | 0.05 | 0.5 | new |" in changed
+    assert changed.count("\n## ") == page.count("\n## ")
+    assert changed.split("## blendbsdf")[1] == page.split("## blendbsdf")[1]
