@@ -169,7 +169,8 @@ def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None
     logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube", smoothing=0.3)
     method = FeatureAblationScene(renderer, logit)
     few, many = (method.attribute(groups="object", spp=spp, seed=shifted()) for spp in (16, 4096))
-    assert "and more than 10 % biases it: use " in few.info["picture"]["caution"]
+    assert "and more than 10 % biases it" in few.info["picture"]["caution"]
+    assert few.info["picture"]["advice"].startswith("use spp=")
     assert many.info["picture"]["caution"] is None
     assert "each alone" not in str(few)
     assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted()))
