@@ -54,6 +54,19 @@ def test_a_change_knows_the_replicates_of_its_errors():
     assert [change.degrees_of_freedom for change in found.changes] == [3]
 
 
+def test_an_explanation_says_why_no_change_is_proposed():
+    renderer = SceneRenderer("cornell-box", "reflectance", resolution=(8, 8), spp=8, max_depth=2)
+
+    def constant(image: torch.Tensor) -> torch.Tensor:
+        return 0 * image.sum()
+
+    reason = "no change is proposed: no single one has a predicted effect that is clear of its noise"
+    found = explain(renderer, constant, changes=1, seed=shifted())
+    assert reason in " ".join(found.text().split())
+    assert reason in found.markdown()
+    assert "no change" not in explain(renderer, constant, changes=0, seed=shifted()).text()
+
+
 def test_only_effects_that_are_clear_of_the_noise_are_stated(explained):
     text = explained.text(width=100)
     assert text.startswith("mean luminance = ")

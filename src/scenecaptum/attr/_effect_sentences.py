@@ -144,11 +144,15 @@ class EffectSentences:
         return [], [f"also uncertain: {named} may exceed those above"]
 
     def _along(self, name: str) -> str:
-        """Return the change of a pose that has its effect, such as ``" for 0.1 towards (0, −1, 0)"``."""
+        """Return the change of a pose that has its effect, such as ``" over ±0.05 units towards (0, −1, 0)"``.
+
+        The scene is in the middle of the range.
+        """
         component = pose_component(name)
         if component is None or self.attribution.scale_or_default() != "range":
             return ""
-        return f" for {move(component, self.attribution.weights()[name], self.attribution.info.get('up'))}"
+        half = self.attribution.weights()[name] / 2
+        return f" over ±{move(component, half, self.attribution.info.get('up'))}"
 
     def unclear_lines(self) -> list[str]:
         """Return how many effects are in the noise, and the samples that would resolve them."""

@@ -67,6 +67,8 @@ class Explanation:
     picture
         The picture, or what a sensor grid measures, of which ``value`` and the values of ``rows`` are; None if it
         is ``attribution.image``.
+    no_changes
+        Why there are no ``changes``, if some were asked for.
     """
 
     attribution: Attribution
@@ -78,6 +80,7 @@ class Explanation:
     definition: Definition | None = None
     premises: tuple[str, ...] = ()
     picture: torch.Tensor | None = None
+    no_changes: str = ""
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
@@ -244,6 +247,8 @@ class Explanation:
         return [*lines, f"the rest: {100 * rest:.1f} %"] if lines and rest > SMALL_REST else lines
 
     def _change_lines(self) -> list[str]:
+        if self.no_changes:
+            return [self.no_changes]
         return [self._change_line(change) for change in self.changes if change.is_clear]
 
     def _row_lines(self) -> list[str]:

@@ -61,6 +61,13 @@ def propose(
     return first_of_each_light(sorted(changes, key=lambda change: -abs(change.predicted)))[:count]
 
 
+def why_none(attribution: SceneAttribution) -> str:
+    """Return why there is no change to propose."""
+    if not attribution.ranking():
+        return "no change is proposed: nothing here has a derivative to predict it from"
+    return "no change is proposed: no single one has a predicted effect that is clear of its noise"
+
+
 def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> Change:
     """Return the change with its effect of rendering the changed scene, also on a value by the definition."""
     changes = {change.name: change.after}

@@ -32,7 +32,7 @@ from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
 from ..visualization import advised, rounded
-from ._changes import propose, rendered
+from ._changes import propose, rendered, why_none
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
@@ -110,9 +110,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     values = input_values(renderer, inputs)
     better = (attribution.info.get("measure") or {}).get("better")
     lowers = better == "lower" or below is not None
-    proposed = propose(
-        renderer, attribution, values, -1 if lowers else 1, whole_number("changes", changes, 0)
-    )
+    count = whole_number("changes", changes, 0)
+    proposed = propose(renderer, attribution, values, -1 if lowers else 1, count)
     scenes = Scenes(
         renderer,
         metric,
@@ -162,6 +161,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         premises=premises,
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
         changes=tuple(rendered(scenes, change, definition) for change in proposed),
+        no_changes=why_none(attribution) if count and not proposed else "",
         goal=goal,
         picture=of_value,
     )
