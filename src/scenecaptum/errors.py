@@ -40,7 +40,7 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
         return f" Did you mean {synonym!r}?"
     by_folded = {candidate.lower(): candidate for candidate in candidates}
     whole = [folded for folded in by_folded if name.lower() in re.split(r"[.\s]", folded)]
-    close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit, cutoff=0.5)
+    close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit)
     close = list(dict.fromkeys(close))[:limit]
     return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else ""
 
