@@ -87,7 +87,7 @@ class Pair(ReplayingToyRenderer):
 def test_error_bars_include_the_draws_that_cameras_share():
     metric = metrics.PerCamera(metrics.Smoothed(squares, 0.8, n=16))
     method = VanillaSceneGradient(Pair(0.1), metric)
-    runs = [mean_effects(method.attribute(target=[0, 1], seed=seed, spp=64)).rows[0] for seed in seeds(60)]
+    runs = [mean_effects(method.attribute(target=[0, 1], seed=seed, spp=64)).rows[0] for seed in seeds(30)]
     means = torch.tensor([[run.mean] for run in runs], dtype=torch.float64)
     check_error_bars(means, torch.tensor([[run.mean_error] for run in runs], dtype=torch.float64))
     x = Pair().inputs["x"].double().requires_grad_()
