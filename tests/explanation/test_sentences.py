@@ -228,7 +228,7 @@ def test_a_map_of_light_has_a_note_and_its_change_is_a_factor():
     found = of_range(sky_data=(torch.ones(2, 3, 3), texels), sky_scale=(torch.tensor(5.0), torch.tensor(1.0)))
     data, scale, note = effects_of(Explanation(found))
     assert (data.startswith("sky.data: "), data.endswith(" ~"), scale.endswith("~")) == (True, True, False)
-    assert note == "~ sky.data: of the same change in all texels; sky.scale is of its light"
+    assert note == "~ sky.data: for the same amount added to every texel; sky.scale: for all of its light"
     brighter = Change("sky.data", "sky: map", texels, 1.25 * texels, 76.0, 1.0, 75.7, 1.0)
     (line,) = lines(Explanation(found, changes=(brighter,)))["What would change it"]
     assert line.startswith("sky map × 1.25: ")
@@ -344,6 +344,18 @@ def test_a_large_effect_with_a_clear_sign_is_stated_beside_a_small_one_that_is_e
     assert first == "the largest effect is uncertain: sun (+0.056 ± 0.030) may exceed those below"
     assert floor == "floor: −0.034 ± 0.007 (sign clear, size uncertain)"
     assert metal == "metal: −0.00200 ± 0.00030"
+
+
+def test_a_clear_sign_is_named_between_larger_and_smaller_effects():
+    """Not clear of the noise of so many parameters, but far above the least of those that are."""
+    small = {f"noise{index}": (1e-5, 1e-3) for index in range(60)}
+    found = with_errors(
+        {"floor": (120.0, 9.0), "cube": (39.0, 12.0), "pane": (-11.0, 4.0), "flat": (1.9, 0.1), **small}
+    )
+    floor, flat, between = effects_of(Explanation(found))
+    assert (floor, flat) == ("floor: +120 ± 9", "flat: +1.90 ± 0.10")
+    assert between == "larger than the last of these, but uncertain: cube (+39 ± 12), pane (−11 ± 4)"
+    assert len(effects_of(Explanation(found, count=1))) == 1
 
 
 def test_only_an_effect_that_is_larger_by_its_value_is_called_the_largest_one():

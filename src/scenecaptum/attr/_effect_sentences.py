@@ -88,7 +88,8 @@ class EffectSentences:
             for row in stated
         ]
         above, below = self._larger_lines(unclear, abs(stated[0].effect))
-        return [*above, *lines, *below, *legend, *unit_notes(self.attribution, stated), *jumps]
+        between = self._between_lines(unclear, stated)
+        return [*above, *lines, *between, *below, *legend, *unit_notes(self.attribution, stated), *jumps]
 
     def _jump_lines(self, stated: Sequence[str]) -> list[str]:
         """Say which poses have no derivative, also of those that are stated in some directions, and why."""
@@ -142,6 +143,19 @@ class EffectSentences:
         if is_largest:
             return [f"the largest effect is uncertain: {named} may exceed those below"], []
         return [], [f"also uncertain: {named} may exceed those above"]
+
+    def _between_lines(
+        self, unclear: Sequence[RankedParameter], stated: Sequence[RankedParameter]
+    ) -> list[str]:
+        """Name the uncertain effects with a clear sign that are larger than one of those that are stated."""
+        largest, smallest = abs(stated[0].effect), abs(stated[-1].effect)
+        errors = clear_from(self.attribution.info)
+        rows = [row for row in unclear if smallest < abs(row.effect) and _upper(row) <= largest]
+        named = [self._named(row) for row in rows if _exceeds(row, errors)]
+        if not named:
+            return []
+        more = f" and {pluralize(len(named) - MOST_NAMED, 'other')}" if len(named) > MOST_NAMED else ""
+        return [f"larger than the last of these, but uncertain: {', '.join(named[:MOST_NAMED])}{more}"]
 
     def _along(self, name: str) -> str:
         """Return the change of a pose that has its effect, such as ``" over ±0.05 units towards (0, −1, 0)"``.
@@ -238,7 +252,12 @@ class EffectSentences:
     def _remedy(
         self, hiding: Sequence[RankedParameter], leading: Sequence[RankedParameter], smallest: float
     ) -> str:
-        """Return what would tell: the samples, but of a rough gradient what the metric advises."""
+        """Return what would tell: the samples, but of a rough gradient what the metric advises.
+
+        Of a picture that is too noisy the caution says how many it needs: two numbers would contradict each other.
+        """
+        if (self.attribution.info.get("picture") or {}).get("advice"):
+            return ""
         if self.attribution.info.get("gradient_note") and gradient_advice(self.attribution):
             return gradient_advice(self.attribution)
         all_told = self._more_samples(max(row.effect_error or 0.0 for row in hiding), smallest)
