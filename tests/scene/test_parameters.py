@@ -316,6 +316,18 @@ def test_a_shape_is_told_the_object_that_it_is_a_part_of() -> None:
     assert "is part of" not in message(lambda: select(parameters, "chair_seat.reflectance"))
 
 
+@pytest.mark.parametrize("inputs", ["paint", "paint*", "paint.*", "paint.base_color"])
+def test_the_id_of_a_material_in_no_name_is_told_what_its_parameters_are_called(mi: Any, inputs: str) -> None:
+    paint = {"type": "principled", "id": "paint", "base_color": {"type": "rgb", "value": 0.5}, "roughness": 0.4}
+    cube = {"type": "cube", "bsdf": paint}
+    camera = {"type": "perspective"}
+    parameters = discover_in({"type": "scene", "camera": camera, "cube": cube, "sky": {"type": "constant"}})
+    assert "'paint' is a material, whose parameters are 'cube.bsdf.*'" in message(
+        lambda: select(parameters, inputs)
+    )
+    assert len(select(parameters, "cube.bsdf.*")) > 1
+
+
 @pytest.mark.parametrize("inputs", ["sensor.*", "sensor.film.*", "sensor.fov", "camera.x_fov"])
 def test_a_selection_of_the_sensor_is_told_how_the_camera_is_called(inputs: str) -> None:
     said = message(lambda: select(discover_in("cornell-box"), inputs))

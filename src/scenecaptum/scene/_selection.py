@@ -96,7 +96,10 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"{first.name}, for example: {first.problem}.{hint}"
         )
     owner = item.partition(".")[0]
-    hint = "" if item in KINDS else _part_hint(parameters, item) or near_names(item, known, KINDS)
+    hint = ""
+    if item not in KINDS:
+        own = _part_hint(parameters, item) or _material_hint(parameters, owner)
+        hint = own or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
     if re.match(r"object_\d", item):
@@ -136,6 +139,18 @@ def _part_hint(parameters: SceneParameters, item: str) -> str:
         f" {shape!r} is part of the object {smallest.owners[0]!r}: select {smallest.name!r}, or list it in "
         "objects=, on the command line --object, to move it alone."
     )
+
+
+def _material_hint(parameters: SceneParameters, owner: str) -> str:
+    """Say how the parameters of a material begin whose id is in no name: that of a shape does."""
+    wanted = owner.rstrip("*")
+    names = [p.name for p in parameters.values() if wanted in p.owners and not p.name.startswith(f"{wanted}.")]
+    if not names:
+        return ""
+    first = names[0].rpartition(".")[0]
+    while not all(name.startswith(f"{first}.") for name in names):
+        first = first.rpartition(".")[0]
+    return f" {wanted!r} is a material, whose parameters are '{first}.*'." if first else ""
 
 
 def _camera_hint(known: Sequence[str]) -> str:
