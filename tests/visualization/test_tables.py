@@ -292,9 +292,9 @@ def test_table_says_that_the_scale_of_a_map_is_the_effect_of_its_light() -> None
         parameter_values={"sky.data": torch.ones(3), "sky.scale": torch.tensor(1.0)},
         extents={"sky.data": torch.ones(3), "sky.scale": torch.ones(1)},
     )
-    note = "~  sky.data: of the same change in all texels; sky.scale is of its light"
+    note = "~  sky.data: for the same amount added to every texel; sky.scale: for all of its light"
     assert note in table_text(result).splitlines()
-    assert "all texels" not in table_text(result, scale="unit")
+    assert "every texel" not in table_text(result, scale="unit")
 
 
 def test_table_ranks_with_sign_error_and_channels() -> None:

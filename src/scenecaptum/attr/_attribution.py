@@ -69,7 +69,8 @@ class SceneAttribution(AttributionData):
         For methods that have one: the sum of the attributions minus the difference that they explain
         (``info["explained"]``), and its standard error, including that of the quadrature.
         ``info["convergence"]`` is ``"adds up"`` if ``|delta|`` plus two errors is within 5 % of that difference,
-        ``"does not add up"`` if ``|delta|`` minus two errors exceeds 5 %, else ``"inconclusive"``.
+        ``"does not add up"`` if ``|delta|`` is beyond 5 % by more than noise is in one case of 1000, by Student's
+        t, else ``"inconclusive"``.
     parameter_values
         The values of the parameters; for textures the mean over the texels, and nothing for other large tensors.
         Members of groups have their own entries.

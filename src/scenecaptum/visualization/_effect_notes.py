@@ -79,8 +79,8 @@ def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
     for name in shown:
         scale = f"{name.rpartition('.')[0]}.scale"
         if attribution[name].ndim == _MAP_NDIM and scale in attribution:
-            of_light = f"{labels.get(scale, scale)} is of its light"
-            notes[f"{labels.get(name, name)}: of the same change in all texels; {of_light}"] = [name]
+            of_light = f"{labels.get(scale, scale)}: for all of its light"
+            notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]
     return notes
 
 
