@@ -318,7 +318,12 @@ def test_a_shape_is_told_the_object_that_it_is_a_part_of() -> None:
 
 @pytest.mark.parametrize("inputs", ["paint", "paint*", "paint.*", "paint.base_color"])
 def test_the_id_of_a_material_in_no_name_is_told_what_its_parameters_are_called(mi: Any, inputs: str) -> None:
-    paint = {"type": "principled", "id": "paint", "base_color": {"type": "rgb", "value": 0.5}, "roughness": 0.4}
+    paint = {
+        "type": "principled",
+        "id": "paint",
+        "base_color": {"type": "rgb", "value": 0.5},
+        "roughness": 0.4,
+    }
     cube = {"type": "cube", "bsdf": paint}
     camera = {"type": "perspective"}
     parameters = discover_in({"type": "scene", "camera": camera, "cube": cube, "sky": {"type": "constant"}})

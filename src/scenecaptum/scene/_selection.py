@@ -144,7 +144,9 @@ def _part_hint(parameters: SceneParameters, item: str) -> str:
 def _material_hint(parameters: SceneParameters, owner: str) -> str:
     """Say how the parameters of a material begin whose id is in no name: that of a shape does."""
     wanted = owner.rstrip("*")
-    names = [p.name for p in parameters.values() if wanted in p.owners and not p.name.startswith(f"{wanted}.")]
+    names = [
+        p.name for p in parameters.values() if wanted in p.owners and not p.name.startswith(f"{wanted}.")
+    ]
     if not names:
         return ""
     first = names[0].rpartition(".")[0]
