@@ -90,10 +90,8 @@ class SensorGrid:
                 raise SceneCaptumError(
                     f"{name} of a sensor grid must be at least 0, not {getattr(self, name)!r}."
                 )
-        if self.rectangle is not None and not all(
-            math.isfinite(x) for corner in self.rectangle for x in corner
-        ):
-            raise SceneCaptumError(f"rectangle of a sensor grid must be finite, not {self.rectangle!r}.")
+        if self.rectangle is not None:
+            _check_rectangle(self.rectangle)
         if self.spacing is not None and not 0 < self.spacing < math.inf:
             raise SceneCaptumError(f"spacing of a sensor grid must be above 0, not {self.spacing!r}.")
         if self.count < 1:
@@ -186,6 +184,17 @@ class SensorGrid:
         normals = angle.cos()[:, None] * first + angle.sin()[:, None] * second
         shape = (len(points), count, 3)
         return cls(points=points[:, None].expand(shape), normals=normals.expand(shape))
+
+
+def _check_rectangle(rectangle: object) -> None:
+    try:
+        corners = torch.tensor(rectangle)
+    except (TypeError, ValueError, RuntimeError):
+        corners = torch.empty(0)
+    if corners.shape != (2, 2) or not bool(corners.isfinite().all()):
+        raise SceneCaptumError(
+            f"rectangle of a sensor grid must be finite corners, ((x0, y0), (x1, y1)), not {rectangle!r}."
+        )
 
 
 def _check_points(points: torch.Tensor, normals: torch.Tensor) -> None:

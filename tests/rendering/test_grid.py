@@ -332,6 +332,7 @@ BAD_SPECS = {
     "height": ({"height": -1.0}, "height of a sensor grid must be at least 0"),
     "spacing": ({"spacing": 0.0}, "spacing of a sensor grid must be above 0"),
     "endless": ({"rectangle": ((0.0, 0.0), (1.0, math.inf))}, "rectangle of a sensor grid must be finite"),
+    "four numbers": ({"rectangle": (0.0, 0.0, 1.0, 2.0)}, r"must be finite corners, \(\(x0, y0\)"),
     "not a number": ({"margin": math.nan}, "margin of a sensor grid"),
     "two": ({"floor": "floor", "surface": "desk"}, "got floor= and surface="),
     "normals": ({"points": torch.zeros(1, 3)}, "belong together"),
