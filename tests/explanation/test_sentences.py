@@ -114,6 +114,16 @@ def test_a_change_that_is_off_because_of_its_derivative_says_so():
     assert line.endswith("predicted)")
 
 
+def test_a_clear_change_of_the_other_sign_says_so_even_if_the_prediction_is_too_noisy_to_contradict_it():
+    wrong = dataclasses.replace(
+        change(0.05, 0.006, predicted=-0.26), predicted_error=0.1, degrees_of_freedom=7
+    )
+    assert wrong.is_linear
+    assert wrong.is_clear
+    (line,) = lines(Explanation(rated(17.0, 0.05), changes=(wrong,)))["What would change it"]
+    assert line.endswith("predicted, with the other sign)")
+
+
 def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
     said = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.03),)))
     assert "What would change it" not in said

@@ -318,6 +318,8 @@ class Explanation:
         measured = signed(change.measured, change.measured_error)
         is_biased = change.name in (self.attribution.info.get("cautions") or {})
         bent = "" if change.is_linear else f", {BIASED if is_biased else 'not linear'}"
+        if not bent and change.is_clear and change.measured * change.predicted < 0:
+            bent = ", with the other sign"
         effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
 

@@ -167,8 +167,8 @@ def with_contradictions(
             found.append(one)
             continue
         note = (
-            f"{_named(one, names)}: to first order from this design, the change would be "
-            f"{signed_with_error(*predicted)}{unit}, and rendered it is "
+            f"{_named(one, names)}: the derivatives at this design predict a change of "
+            f"{signed_with_error(*predicted)}{unit} from the first design to the second, and rendered it is "
             f"{signed_with_error(change, error)}{unit}: the effect does not hold over the range"
         )
         found.append(dataclasses.replace(one, info={**one.info, "contradicted": {note: names}}))
