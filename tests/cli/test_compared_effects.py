@@ -157,9 +157,7 @@ def test_a_rendered_change_contradicts_an_effect_by_its_sign_or_by_a_factor_of_t
     for one in _compared_effects.with_contradictions(before, after, rendered):
         notes = {text: names for text, names in range_notes(one).items() if "rendered" in text}
         assert list(notes.values()) == ([["wall"]] if contradicts else [])
-        assert all(
-            "wall: the derivatives at this design predict a change of +0.06" in text for text in notes
-        )
+        assert all("wall: the derivatives at this design predict a change of +0.06" in text for text in notes)
 
 
 def test_a_change_of_nothing_or_of_a_texture_contradicts_no_effect() -> None:
@@ -206,7 +204,8 @@ def test_a_dimmed_sky_has_one_effect_in_terminal_and_page_and_the_render_contrad
         assert float(written.replace("−", "-")) == pytest.approx(one["effect"], abs=0.06)
     assert [bool(one["rangeNotes"]) for one in after] == [False, True]
     assert "first-order change of unified glare rating" in printed
-    assert "the design: sky: radiance: the derivatives at this design predict a change of" in " ".join(printed.split())
+    said = " ".join(printed.split())
+    assert "the design: sky: radiance: the derivatives at this design predict a change of" in said
 
 
 @pytest.mark.parametrize(("factors", "is_opposite"), [((0.6, 0.3), True), ((1.0, 0.2), False)])

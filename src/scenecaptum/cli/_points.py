@@ -44,7 +44,10 @@ def add_points(parser: argparse.ArgumentParser) -> None:
     )
     for name, text in (
         ("height", "height of the points above the floor"),
-        ("margin", "distance of the points from the outline of the floor, at most a quarter of its shorter side"),
+        (
+            "margin",
+            "distance of the points from the outline of the floor, at most a quarter of its shorter side",
+        ),
     ):
         default = SensorGrid.__dataclass_fields__[name].default
         group.add_argument(f"--{name}", type=float, metavar="X", help=f"{text} (default: {default})")
