@@ -327,9 +327,7 @@ def test_the_id_of_a_material_in_no_name_is_told_what_its_parameters_are_called(
     cube = {"type": "cube", "bsdf": paint}
     camera = {"type": "perspective"}
     parameters = discover_in({"type": "scene", "camera": camera, "cube": cube, "sky": {"type": "constant"}})
-    assert "'paint' is a material, whose parameters are 'cube.bsdf.*'" in message(
-        lambda: select(parameters, inputs)
-    )
+    assert "The parameters of 'paint' are 'cube.bsdf.*'." in message(lambda: select(parameters, inputs))
     assert len(select(parameters, "cube.bsdf.*")) > 1
 
 

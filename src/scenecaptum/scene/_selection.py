@@ -150,9 +150,9 @@ def _material_hint(parameters: SceneParameters, owner: str) -> str:
     if not names:
         return ""
     first = names[0].rpartition(".")[0]
-    while not all(name.startswith(f"{first}.") for name in names):
+    while first and not all(name.startswith(f"{first}.") for name in names):
         first = first.rpartition(".")[0]
-    return f" {wanted!r} is a material, whose parameters are '{first}.*'." if first else ""
+    return f" The parameters of {wanted!r} are '{first}.*'." if first else ""
 
 
 def _camera_hint(known: Sequence[str]) -> str:
