@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
@@ -18,6 +19,8 @@ from scenecaptum import (
     metrics,
 )
 from scenecaptum.attr import range_lengths
+from scenecaptum.attr._groups import sum_groups
+from scenecaptum.estimation import channel_totals
 from scenecaptum.visualization import range_notes
 
 
@@ -190,6 +193,40 @@ def test_the_effect_of_a_light_that_is_off_has_a_note_under_a_metric_that_is_not
     assert note.endswith("render the change")
     assert f"~ {note}" in " ".join(str(without).split())
     assert range_notes(on) == range_notes(linear) == {}
+
+
+def test_a_light_that_is_off_ranks_after_the_others():
+    """To first order, its effect may be far off, however large it is."""
+
+    def order(scale=None, **info):
+        return [row.name for row in attribution(**info).ranking(scale=scale)]
+
+    assert order() == ["glass", "lamp", "wall"]
+    assert order(lights_off=["lamp"]) == ["glass", "wall", "lamp"]
+    assert attribution(lights_off=["lamp"]).ranking(2)[-1].name == "wall"
+    assert order("unit", lights_off=["lamp"]) == order("unit"), (
+        "per unit there is no effect of switching it on"
+    )
+    assert order(lights_off=["lamp", "glass", "wall"]) == order(), "nothing else could lead"
+
+
+def test_a_group_leaves_out_a_light_that_is_off_unless_it_has_nothing_else():
+    found = attribution()
+    rows = {name: channel_totals(value)[None].double().repeat(8, 1) for name, value in found.items()}
+    found = dataclasses.replace(found, replicates=rows)
+    off = dataclasses.replace(found, info={**found.info, "lights_off": ["glass", "lamp"]})
+    groups = {"both": ("wall", "glass"), "own": ("lamp",)}
+    whole, summed = sum_groups(found, groups), sum_groups(off, groups)
+    assert whole.effects() == pytest.approx({"both": 0.95, "own": 0.5})
+    assert summed.effects() == pytest.approx({"both": 0.2, "own": 0.5})
+    assert summed.ranked_last() == {"own"}
+    assert [row.name for row in summed.ranking()] == ["both", "own"]
+    last, left_out = range_notes(summed)
+    assert last.startswith("own: off, ")
+    assert "ranks last" in last
+    assert left_out.startswith("glass: off, ")
+    assert "left out of its group" in left_out
+    assert "not shown" not in str(summed)
 
 
 def test_groups_add_effects_not_gradients_of_different_units():

@@ -53,6 +53,17 @@ def test_an_object_with_several_parameters_shows_their_norm():
     torch.testing.assert_close(painted, torch.tensor([[1.0, 1.0]]))
 
 
+def test_a_light_that_is_off_has_no_colour_and_sets_no_scale():
+    one = attribution((("a", "lamp"), ("b",), ("lamp",)), a=2.0, b=-1.0, lamp=50.0)
+    ranged = dataclasses.replace(one, extents={name: torch.ones(1) for name in one})
+    off = dataclasses.replace(ranged, info={"lights_off": ["lamp"]})
+    torch.testing.assert_close(relative(off), torch.tensor([[1.0, 0.75]]))
+    assert shared_maximum([off]) == 2.0
+    assert shared_maximum([ranged]) > 50
+    assert relative(ranged).max() == 1
+    torch.testing.assert_close(relative(off, parameter="lamp"), torch.tensor([[1.0, 0.5]]))
+
+
 def test_a_shared_parameter_paints_every_object_that_uses_it():
     painted = relative(attribution((("a",), ("a",)), a=0.5))
     torch.testing.assert_close(painted, torch.ones(1, 2))

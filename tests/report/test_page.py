@@ -960,6 +960,21 @@ def test_a_printed_report_of_one_result_has_no_hints(browser, tmp_path):
     page.context.close()
 
 
+def test_a_light_that_is_off_ranks_last_and_sets_no_scale(browser, tmp_path):
+    """Its effect, to first order, may be far off: it would hide the causes of the others."""
+    first, second = (row.name for row in ranged().ranking(2))
+    path = written(tmp_path, noted(ranged(), measure=UGR, lights_off=[first]))
+    page = Page(browser, path)
+    rows = page.page.locator("#rows [data-row]")
+    assert rows.first.locator(".label").get_attribute("title") == second
+    assert rows.last.locator(".label").get_attribute("title") == first
+    assert rows.first.locator(".bar").evaluate("bar => bar.style.width") == "100%"
+    assert rows.last.locator(".bar").count() == 0
+    assert rows.last.locator(".saliency .number").inner_text()
+    page.check(path)
+    page.context.close()
+
+
 def test_the_facts_name_the_class_of_a_network(browser, tmp_path):
     network = {"metric": "ClassLogit"}
     results = [

@@ -67,6 +67,26 @@ def test_omitted_bars_and_missing_whiskers_are_noted() -> None:
     assert "not shown" not in all_text(plot_bars(make(), top=None))
 
 
+def test_a_light_that_is_off_has_its_number_in_place_of_a_bar() -> None:
+    rows = [("lamp", -50.0, 0.0), ("desk", 1.0, 0.5), ("wall", -0.5, 0.5)]
+    on = overstated(*rows, errors=0.1)
+    off = dataclasses.replace(on, info={**on.info, "lights_off": ["lamp"]})
+    figure = plot_bars(off)
+    (axes,) = figure.axes
+    assert [bar.get_width() for bar in axes.patches] == [1.0, -0.5, 0.0]
+    assert whiskers(axes)[-1] == 0
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["desk", "wall", "~ lamp"]
+    text = " ".join(all_text(figure).split())
+    assert "−50.00 ± 0.10" in text
+    assert "Glare depends most on desk" in text
+    assert "so it ranks last, without a bar or a colour" in text
+    assert outside(figure) == []
+    first = " ".join(all_text(plot_bars(off, top=1)).split())
+    assert "1 parameter with smaller effects not shown" in first
+    assert "so it ranks last" in first
+    assert plot_bars(on).axes[0].patches[0].get_width() == -50
+
+
 def test_bars_of_doubtful_derivatives_are_hatched() -> None:
     figure = plot_bars(make(cautions={"rough": "its size is off"}))
     hatched = [bool(bar.get_hatch()) for bar in figure.axes[0].patches]

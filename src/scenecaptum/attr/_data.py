@@ -241,12 +241,16 @@ class AttributionData(Mapping[str, torch.Tensor]):
     def ranking(self, top: int | None = None, *, scale: Scale | None = None) -> list[Ranked]:
         """Return the parameters by descending saliency, all or the first ``top``; scales as for ``effects``.
 
-        Poses without a derivative, ``info["jumps"]``, are left out.
+        Poses without a derivative, ``info["jumps"]``, are left out. Those of ``ranked_last`` follow after the
+        others.
         """
         effects, effect_errors = self.effects(scale), self.effects_error(scale)
         saliency, errors = self.saliency(scale), self.saliency_error(scale)
         jumps = self.info.get("jumps", {})
-        order = sorted((name for name in self if name not in jumps), key=lambda name: -saliency[name])
+        last = self.ranked_last(scale)
+        order = sorted(
+            (name for name in self if name not in jumps), key=lambda name: (name in last, -saliency[name])
+        )
         return [
             Ranked(
                 rank=rank,
@@ -261,6 +265,17 @@ class AttributionData(Mapping[str, torch.Tensor]):
             )
             for rank, name in enumerate(order[:top], start=1)
         ]
+
+    def ranked_last(self, scale: Scale | None = None) -> frozenset[str]:
+        """Return the lights that are off, under a metric that is not linear in the light; none if all are.
+
+        To first order, the effect of switching such a light on may be far off, even in its sign. So it ranks after
+        the others, and bars and maps leave it out. Per unit (``scale="unit"``) there are none.
+        """
+        if self.kind.in_scale(self.scale_or_default(scale)) is not ResultKind.EFFECT:
+            return frozenset()
+        off = frozenset(self.info.get("lights_off", ())).intersection(self)
+        return off if len(off) < len(self) else frozenset()
 
     def _total_error(self, name: str) -> tuple[float, ...] | None:
         if self.covariance is None:

@@ -93,6 +93,8 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
     info["sampled"] = [list(one) for one in dict.fromkeys(_sampled(a) + _sampled(b))]
     info |= _without_derivative(a.info, b.info)
+    off = [*a.info.get("lights_off", ()), *b.info.get("lights_off", ())]
+    info["lights_off"] = list(dict.fromkeys(off))
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)

@@ -102,7 +102,7 @@ class EffectSentences:
 
     def _marks(self, names: Sequence[str]) -> tuple[dict[str, str], list[str]]:
         """Return the marks behind the effects of some parameters, and a line on each mark."""
-        notes = range_notes(self.attribution, among=names)
+        notes = range_notes(self.attribution, among=[*names, *self.attribution.ranked_last()])
         doubts = {
             reason: whose
             for reason, whose in untrusted_groups(self.attribution).items()
@@ -283,9 +283,11 @@ class EffectSentences:
 
         The noise of many parameters takes one of them beyond two standard errors, so the limit is that of all.
         Also stated are effects whose sign a render of the change confirms, and those that are larger than another
-        and whose own sign is clear. What a render shows clear, but with the other sign, is neither.
+        and whose own sign is clear. What a render shows clear, but with the other sign, is neither. Lights that
+        rank last are left out: their effects may be far off.
         """
-        allowed, rows = self._allowed_errors(), [row for row in self.attribution.ranking() if row.effect]
+        allowed, last = self._allowed_errors(), self.attribution.ranked_last()
+        rows = [row for row in self.attribution.ranking() if row.effect and row.name not in last]
         rendered = {one.name: one for one in self.changes if one.measured is not None and one.is_clear}
         confirmed = {name for name, one in rendered.items() if (one.measured or 0.0) * one.predicted > 0}
         stated = {row.name for row in rows if _exceeds(row, allowed) or row.name in confirmed}

@@ -155,11 +155,15 @@ def _abbreviate(owners: tuple[str, ...]) -> str:
 def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     """Return the sum of each group's effects, 0-d by group, with standard errors from the replicates.
 
-    Gradients are summed over the ranges of the members where these are known: they have no common unit.
+    Gradients are summed over the ranges of the members where these are known: they have no common unit. A light
+    that is off (``ranked_last``) is left out of a group that has others.
     """
     kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), dict(attribution.weights())
     jumps = attribution.info.get("jumps", {})
-    factors |= {name: 0 * factors[name] for name in jumps}  # without a derivative
+    off = attribution.ranked_last()
+    of_lights_off = {group for group, names in members.items() if {*names} - {*jumps} <= off}
+    off -= {name for group in of_lights_off for name in members[group]}
+    factors |= {name: 0 * factors[name] for name in {*jumps, *off}}
 
     def total(tensors: Mapping[str, torch.Tensor], names: tuple[str, ...]) -> torch.Tensor:
         return torch.stack([channel_totals(tensors[name]) @ factors[name] for name in names]).sum()
@@ -175,7 +179,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     without = {group: jumps[names[0]] for group, names in members.items() if all(n in jumps for n in names)}
     hidden = {name for group in without for name in members[group]}
     without |= {name: reason for name, reason in jumps.items() if name not in hidden}
-    noted = {*without, *attribution.info.get("left_out_directions", {})}
+    noted = {*without, *off, *attribution.info.get("left_out_directions", {})}
     return dataclasses.replace(
         attribution,
         attributions={group: total(attribution, names) for group, names in members.items()},
@@ -195,6 +199,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
             "quantity": kind.value,
             "vectors": [],
             "jumps": without,
+            "lights_off": [*sorted(of_lights_off), *sorted(off)],
             "kept_directions": {},
             "groups": {group: list(names) for group, names in members.items()},
         },

@@ -174,11 +174,13 @@ class Linearization:
     def leading(self, count: int) -> list[str]:
         """Return the parameters with the largest effects on any metric, relative to the largest on this metric."""
         best: dict[str, float] = {}
+        last: set[str] = set()
         for attribution in self.attributions:
+            last |= attribution.ranked_last()
             rows = [row for row in attribution.ranking() if row.name in self.designs.sliders and row.saliency]
             for row in rows:
                 best[row.name] = max(best.get(row.name, 0.0), row.saliency / rows[0].saliency)
-        return sorted(best, key=lambda name: -best[name])[:count]
+        return sorted(best, key=lambda name: (name in last, -best[name]))[:count]
 
     def derive(self, slider: Slider) -> Derivative:
         """Compute the derivatives of the picture, by differences with the random numbers of the start.

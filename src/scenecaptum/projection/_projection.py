@@ -52,7 +52,8 @@ def heatmap(
     The saliency of an object is the ℓ2 norm over the parameters of all its materials, emitters and media; for an
     attribution to groups, over the groups that contain any of these. The map is normalized by the largest saliency
     of any object, parameter or group, visible or not. It never exceeds 1, and its maximum is below 1 if the most
-    salient object is not visible. Figures, ``export`` and the report show this map, on the same default scale.
+    salient object is not visible. Lights that rank last (``ranked_last``) have no colour. Figures, ``export`` and
+    the report show this map, on the same default scale.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def objects_of_unclear_sign(
     A signed map is 0 there. Objects without an effect are not counted; the options are those of ``heatmap``.
     """
     surfaces = surfaces_of(attribution, surfaces)
-    selected = set(_select(attribution, parameter)) - set(attribution.info.get("jumps", {}))
+    selected = set(_mapped(attribution, parameter, scale))
     rows = {row.name: row for row in attribution.ranking(scale=scale) if row.name in selected}
     visible = np.unique(surfaces.object_index[surfaces.fraction > 0])
     used = used_by_objects(attribution, surfaces, rows)
@@ -208,8 +209,7 @@ def _entries(
     attribution: Attribution, surfaces: SurfaceMap, parameter: Names, texels: bool, scale: Scale | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return the saliency and sign of each entry of the surface map, and the largest saliency."""
-    jumps = attribution.info.get("jumps", {})  # which have no derivative
-    selected = [name for name in _select(attribution, parameter) if name not in jumps]
+    selected = _mapped(attribution, parameter, scale)
     saliency = {name: value for name, value in attribution.saliency(scale).items() if name in selected}
     rows, factors = {row.name: row for row in attribution.ranking(scale=scale)}, attribution.factors(scale)
     is_norm = attribution.ranks_by_norm(scale)
@@ -245,6 +245,16 @@ def _texel_maps(
             "surfaces=renderer.surfaces_with_texels(...)."
         )
     return texel_maps
+
+
+def _mapped(attribution: Attribution, parameter: Names, scale: Scale | None) -> list[str]:
+    """Return the selected parameters that have a colour, without poses that jump and lights that rank last.
+
+    A map of nothing but such lights shows them.
+    """
+    jumps, last = attribution.info.get("jumps", {}), attribution.ranked_last(scale)
+    selected = [name for name in _select(attribution, parameter) if name not in jumps]
+    return [name for name in selected if name not in last] or selected
 
 
 def _select(attribution: Attribution, parameter: Names) -> list[str]:

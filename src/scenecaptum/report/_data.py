@@ -174,7 +174,8 @@ def describe_objects(
     signed = []
     for attribution in attributions:
         jumps = attribution.info.get("jumps", {})
-        effects = {name: effect for name, effect in attribution.effects().items() if name not in jumps}
+        left_out = {*jumps, *attribution.ranked_last()}
+        effects = {name: effect for name, effect in attribution.effects().items() if name not in left_out}
         used = used_by_objects(attribution, surfaces, effects)
         signed.append([sum(effects[name] for name in used[index]) for index in shown])
     parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
@@ -229,8 +230,10 @@ def _result(
     row_index = {row.name: row.rank - 1 for row in ranking}
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
-    saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in object_rows]
-    sums = [clear_sum(attribution, [ranking[index] for index in rows]) for rows in object_rows]
+    last = attribution.ranked_last()
+    mapped = [[index for index in rows if ranking[index].name not in last] for rows in object_rows]
+    saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in mapped]
+    sums = [clear_sum(attribution, [ranking[index] for index in rows]) for rows in mapped]
     return {
         "title": title,
         "metric": metric_name(attribution),
@@ -277,8 +280,10 @@ def _result(
             for i in shown
         ],
         # Including objects that no pixel shows, as in ``heatmap``.
-        "largest": _number(max([*(row.saliency for row in ranking), *saliencies], default=0.0)),
-        "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in object_rows[i]}),
+        "largest": _number(
+            max([*(row.saliency for row in ranking if row.name not in last), *saliencies], default=0.0)
+        ),
+        "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in mapped[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
         "info": plain(_without_advice(attribution.info)),
@@ -383,6 +388,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         else [],
         "seenThrough": bool({row.name, *(members or ())} & set(attribution.info.get("seen_through") or ())),
         **({"isCamera": True} if is_of_camera(row.name) else {}),
+        **({"isLast": True} if row.name in attribution.ranked_last() else {}),
         "channels": len(row.total),
         **({"isVector": True} if row.name in (attribution.info.get("vectors") or ()) else {}),
         "texture": _is_texture(attribution, row.name),

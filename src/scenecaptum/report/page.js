@@ -402,8 +402,9 @@ function barsText() {
   const rows = result().rows.slice(0, BARS);
   const numbers = rows.map((row) => withError(row.written));
   const title = `${result().title}: ${[withError(result().written), result().unit].filter(Boolean).join(" ")}`;
-  const top = Math.max(...rows.map((row) => (row.saliency ?? 0) + (row.error ?? 0))) || 1;
-  const signed = result().ranked === "Effect" && rows.some((row) => row.effect < 0);
+  const drawn = rows.filter((row) => !row.isLast);
+  const top = Math.max(...drawn.map((row) => (row.saliency ?? 0) + (row.error ?? 0))) || 1;
+  const signed = result().ranked === "Effect" && drawn.some((row) => row.effect < 0);
   const [width, step] = [420, 24];
   const left = 24 + widest(rows.map((row) => row.label), "13px sans-serif");
   const right = left + width + 16 + widest(numbers, "13px sans-serif");
@@ -416,9 +417,10 @@ function barsText() {
     const value = (signed ? row.effect : row.saliency) ?? 0;
     const end = zero + along * value;
     const reach = along * (row.error ?? 0);
-    return `<text x="${left - 8}" y="${y + 4}" text-anchor="end">${escape(row.label)}</text>`
-      + `<rect x="${Math.min(zero, end)}" y="${y - 8}" width="${Math.abs(end - zero)}" height="16" fill="${ink[row.sign]}"/>`
-      + `<line x1="${end - reach}" x2="${end + reach}" y1="${y}" y2="${y}" stroke="#222"/>`
+    const bar = `<rect x="${Math.min(zero, end)}" y="${y - 8}" width="${Math.abs(end - zero)}" height="16" fill="${ink[row.sign]}"/>`
+      + `<line x1="${end - reach}" x2="${end + reach}" y1="${y}" y2="${y}" stroke="#222"/>`;
+    return `<text x="${left - 8}" y="${y + 4}" text-anchor="end">${escape(row.isLast ? `~ ${row.label}` : row.label)}</text>`
+      + (row.isLast ? "" : bar)
       + `<text x="${right}" y="${y + 4}" text-anchor="end">${escape(numbers[index])}</text>`;
   });
   const whole = Math.max(right, 12 + widest([title], "15px sans-serif"), 12 + widest([result().axis], "13px sans-serif"));

@@ -3,7 +3,7 @@
 const SORTS = {
   rank: (row, index) => index,
   label: (row) => row.label.toLowerCase(),
-  saliency: (row) => -(row.saliency ?? -1),
+  saliency: (row) => (row.isLast ? 2 : -(row.saliency ?? -1)),
   gradient: (row) => -row.total.reduce((sum, one) => sum + (one ?? 0), 0),
 };
 
@@ -76,7 +76,7 @@ function drawRow(result, index, handlers) {
     make("td", { class: "rank" }, String(index + 1)),
     make("th", { class: "label", scope: "row", title: row.name },
       make("div", {}, ...breakable(row.label), ...markOf(row, result), seen || row.isCamera ? null : make("span", { class: "tag" }, row.seenThrough ? "behind glass or mirrored" : "not in view")), valueOf(row)),
-    make("td", { class: "saliency" }, row.saliency ? drawBar(row, result) : null, make("span", { class: "number" }, ...numberOf(row, result))),
+    make("td", { class: "saliency" }, row.saliency && !row.isLast ? drawBar(row, result) : null, make("span", { class: "number" }, ...numberOf(row, result))),
     make("td", { class: "gradient" }, ...channelsOf(row)));
   line.addEventListener("click", () => handlers.select(index));
   line.addEventListener("pointerenter", (event) => event.pointerType === "mouse" && handlers.preview(index));

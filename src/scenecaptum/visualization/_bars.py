@@ -43,7 +43,7 @@ from ._notes import (
     unit_notes,
     untrusted_groups,
 )
-from ._numbers import shorten
+from ._numbers import shorten, signed_with_error
 from ._text import axis_label, method_name, pack, pluralize, sign_labels
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def plot_bars(
     contributions, whether the parameter adds to the metric or takes from it. Bars are grey if the effect is less
     than two standard errors from zero, or with fewer than 8 replicates within its interval at 95 % (Student's t).
     Gradients per unit, whose channels have no common sign, are shown by their
-    norm.
+    norm. A light that is off and ranks last has its number in place of a bar.
 
     Parameters
     ----------
@@ -126,8 +126,9 @@ def draw_bars(
     positions = range(len(rows))
     colors = [color_of(row, attribution, scale) for row in rows]
     inaccurate = _inaccurate(attribution, rows)
-    lengths = [row.effect if signed else row.saliency for row in rows]
-    errors = [row.saliency_error for row in rows]
+    last = attribution.ranked_last(scale)
+    lengths = [0.0 if row.name in last else row.effect if signed else row.saliency for row in rows]
+    errors = [0.0 if row.name in last and row.saliency_error else row.saliency_error for row in rows]
     bars = ax.barh(positions, lengths, height=0.7, color=colors)
     for bar, hatched in zip(bars, inaccurate, strict=True):
         if hatched:
@@ -138,6 +139,10 @@ def draw_bars(
         ax.errorbar(lengths, positions, xerr=known, ecolor=ax.xaxis.label.get_color(), **style)
     if sign_labels(attribution) is not None:
         for position, (row, color) in enumerate(zip(rows, colors, strict=True)):
+            if row.name in last:
+                written = signed_with_error(row.effect, row.effect_error)
+                write_at(ax, written, (0, position), (4, 0), va="center", color=UNCLEAR, fontsize=SMALL)
+                continue
             side = -1 if signed and row.effect < 0 else 1
             end = side * (row.saliency + (row.saliency_error or 0.0))
             sign, ink = (SIGNS[color], color) if row.saliency else ("0", UNCLEAR)
@@ -174,7 +179,8 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale:
     from matplotlib.patches import Patch
 
     labels, signed = sign_labels(attribution), _is_signed(attribution, scale)
-    present = {color_of(row, attribution, scale) for row in rows if row.saliency}
+    last = attribution.ranked_last(scale)
+    present = {color_of(row, attribution, scale) for row in rows if row.saliency and row.name not in last}
     meanings = {UNCLEAR: "a square or variance: it has no sign"}
     if labels is not None:
         meanings = {
@@ -194,7 +200,9 @@ def bar_notes(
     attribution: Attribution, rows: Iterable[RankedParameter], scale: Scale | None
 ) -> dict[str, list[str]]:
     """Return what the mark ``~`` means, with the rows that have it."""
-    return range_notes(attribution, scale, among=[row.name for row in rows])
+    return range_notes(
+        attribution, scale, among=[*(row.name for row in rows), *attribution.ranked_last(scale)]
+    )
 
 
 def bar_doubts(attribution: Attribution, rows: Iterable[RankedParameter]) -> list[str]:
@@ -218,7 +226,8 @@ def _footnotes(
     width: int,
 ) -> list[str]:
     """Return the footnotes in lines of at most ``width`` characters."""
-    hidden = len(attribution.ranking()) - len(rows)
+    last, shown = attribution.ranked_last(scale), {row.name for row in rows}
+    hidden = sum(row.name not in shown | last for row in attribution.ranking(scale=scale))
     notes = [
         method_name(attribution),
         *sampling_notes(attribution),

@@ -34,7 +34,7 @@ def range_notes(
             **_roughness_notes(attribution, scale, shown),
             **_least_roughness_notes(attribution, shown),
             **_off_notes(attribution, shown),
-            **_light_notes(attribution, shown),
+            **_light_notes(attribution, scale, shown),
             **_contradicted_notes(attribution, shown),
             **_local_notes(attribution, shown),
         }
@@ -90,18 +90,29 @@ def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
     return {f"off, or 0, in the scene: per unit of 1: {_named(attribution, off)}": off} if off else {}
 
 
-def _light_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[str]) -> dict[str, list[str]]:
     """Return a note on lights that are off, under a metric that is not linear in the image."""
     rendered = range_marked(_contradicted_notes(attribution, shown))
-    off = [name for name in attribution.info.get("lights_off", ()) if name in shown and name not in rendered]
-    if not off:
-        return {}
-    note = advised(
-        f"{_named(attribution, off)}: off, and {metric_symbol(attribution)} is not linear in the light: to first "
-        "order, the effect of switching it on may be far off, even in its sign",
-        RENDER,
+    off = [
+        name
+        for name in attribution.info.get("lights_off", ())
+        if (name in shown or name not in attribution) and name not in rendered
+    ]
+    last = attribution.ranked_last(scale)
+    cases = {
+        ", so it ranks last, without a bar or a colour": [name for name in off if name in last],
+        ", so it is left out of its group": [name for name in off if name not in attribution],
+        "": [name for name in off if name in attribution and name not in last],
+    }
+    reason = (
+        f"off, and {metric_symbol(attribution)} is not linear in the light: to first order, the effect of "
+        "switching it on may be far off, even in its sign"
     )
-    return {note: off}
+    return {
+        advised(f"{_named(attribution, names)}: {reason}{consequence}", RENDER): names
+        for consequence, names in cases.items()
+        if names
+    }
 
 
 def _contradicted_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:

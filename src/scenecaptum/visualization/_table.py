@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import shutil
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import NamedTuple
@@ -27,7 +27,7 @@ from ._notes import (
     untrusted_groups,
 )
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
-from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, verdict
+from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, pluralize, verdict
 
 DEFAULT_ROWS = 40
 _MAX_CHANNELS = 4
@@ -165,8 +165,9 @@ def _table(
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
     notes += unit_notes(attribution, shown, scale) + baseline_notes(attribution)
     if len(shown) < len(ranking):
-        largest = with_error(ranking[len(shown)].saliency, ranking[len(shown)].saliency_error)[0]
-        notes.append(f"… and {len(ranking) - len(shown)} more of at most {largest}; {complete} lists all")
+        notes.append(
+            f"… and {_rest(ranking[len(shown) :], attribution.ranked_last(scale))}; {complete} lists all"
+        )
     notes += group_notes(attribution, with_rows)
     if any(row.name in vectors for row in shown):
         in_noise = any(row.name in vectors and row.effect == 0 and row.effect_error for row in shown)
@@ -196,7 +197,7 @@ def _table(
     notes += marked_doubts(untrusted, attribution.labels, names_shown, len(attribution), "?  ")
     notes += jump_notes(attribution)
     for text, names in of_range.items():
-        hidden = hidden_of(names, with_rows)
+        hidden = hidden_of([name for name in names if name in attribution], with_rows)
         notes.append(f"~  {text} ({hidden})" if hidden else f"~  {text}")
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
@@ -207,6 +208,17 @@ def _table(
         rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
         notes=notes,
     )
+
+
+def _rest(hidden: Sequence[RankedParameter], last: Collection[str]) -> str:
+    """Return how many rows are not shown, and how large they are; those that rank last may be larger."""
+    smaller = [row for row in hidden if row.name not in last]
+    off = len(hidden) - len(smaller)
+    parts = [f"{pluralize(off, 'light')} off"] if off else []
+    if smaller:
+        largest = with_error(smaller[0].saliency, smaller[0].saliency_error)[0]
+        parts.insert(0, f"{len(smaller)} more of at most {largest}")
+    return " and ".join(parts)
 
 
 def _effects(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
