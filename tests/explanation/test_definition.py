@@ -10,7 +10,13 @@ from seeds import seeds, shifted
 
 from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, daylight, metrics
 from scenecaptum.denoising import denoise
-from scenecaptum.estimation import TargetedMetric, difference_by_definition, half_sample_error
+from scenecaptum.estimation import (
+    TargetedMetric,
+    difference_by_definition,
+    error_of_denoiser,
+    half_sample_error,
+    value_by_definition,
+)
 from scenecaptum.explanation import (
     definition_of,
     photometric_premises,
@@ -116,6 +122,42 @@ def test_the_error_of_a_rating_near_its_threshold_includes_pixels_on_the_wrong_s
     assert bright.error == pytest.approx(repeats, rel=1e-4), (
         "far from the threshold the repeats show the whole error"
     )
+
+
+def test_errors_of_a_rating_include_what_the_denoiser_takes_from_a_bulb_of_one_pixel() -> None:
+    """It does so in every half of the samples alike, so repeats do not show that error."""
+    camera = Camera.perspective(32, 32, fov_x=60)
+    true = torch.full((32, 32, 3), 0.5)
+    true[16, 8:12] = 9000 / 179  # a lamp far from the threshold
+    bulb = torch.zeros_like(true)
+    bulb[5, 15] = 2300 / 179
+
+    def denoised(image: torch.Tensor) -> torch.Tensor:
+        spread = image.clone()
+        spread[5, 16] += 0.4 * image[5, 15]
+        spread[5, 15] -= 0.4 * image[5, 15]
+        return spread
+
+    relaxed = metrics.UnifiedGlareRating(camera)
+    metric = TargetedMetric(relaxed).with_transform(denoised)
+    for seed in seeds(8):
+        noise = torch.randn(8, 32, 32, 1, generator=torch.Generator().manual_seed(seed))
+        noise = (1 + 0.05 * noise).expand(-1, -1, -1, 3)
+        images, dimmed = (true + bulb) * noise, (true + 0.75 * bulb) * noise
+        value, error = value_by_definition(metric, images)
+        assert abs(value - relaxed.hard(true + bulb).item()) < 2 * error
+        change, error = difference_by_definition(metric, metric, (images, dimmed))
+        truth = relaxed.hard(true + 0.75 * bulb) - relaxed.hard(true + bulb)
+        assert truth < -0.05
+        assert abs(change - truth.item()) < 2 * error
+        changes = [metric.value(b) - metric.value(a) for a, b in zip(images, dimmed, strict=True)]
+        repeats = torch.tensor(changes).std().item() / 8**0.5
+        change = metric.value(dimmed.mean(0)) - metric.value(images.mean(0))
+        truth = (relaxed(true + 0.75 * bulb) - relaxed(true + bulb)).item()
+        error = math.hypot(repeats, error_of_denoiser(metric, metric, (images, dimmed)))
+        assert abs(change - truth) > 4 * repeats
+        assert abs(change - truth) < 3 * error
+    assert error_of_denoiser(TargetedMetric(torch.mean), TargetedMetric(torch.mean), (images, dimmed)) == 0
 
 
 def test_the_rated_image_is_the_denoised_one_of_the_camera_of_the_values(mi):

@@ -10,6 +10,7 @@ from ._adjoints import Adjoints as Adjoints
 from ._adjoints import error_parts as error_parts
 from ._autograd import gradients_enabled as gradients_enabled
 from ._by_definition import difference_by_definition as difference_by_definition
+from ._by_definition import error_of_denoiser as error_of_denoiser
 from ._by_definition import value_by_definition as value_by_definition
 from ._comparison import differences as differences
 from ._goal import DEFAULT_SHARE as DEFAULT_SHARE

@@ -118,26 +118,29 @@ class GlareRating(torch.nn.Module):
         """The camera of the images."""
         return self.pixels.camera
 
-    def forward(self, image: torch.Tensor) -> torch.Tensor:
+    def forward(self, image: torch.Tensor, *, compared: torch.Tensor | None = None) -> torch.Tensor:
         """Return the rating of an ``(H, W, 3)`` linear-radiance image, a 0-d tensor.
+
+        ``compared`` is the image that is compared with the threshold, ``(H, W, 3)``; by default it is ``image``.
 
         Raises
         ------
         SceneCaptumError
             If a value is negative, NaN or infinite, or the image does not have the size of the camera.
         """
-        values = photometric_luminance(image, self.efficacy, self.camera)
-        return cast_like(self._rate(values, self._find_sources(values)), image)
+        return self._rating(image, self.relaxation, compared)
 
     def hard(self, image: torch.Tensor, *, compared: torch.Tensor | None = None) -> torch.Tensor:
         """Return the rating by the definition: with the hard threshold of evalglare, which ``relaxation`` smooths.
 
         Both are the same where no pixel is within the transition. Shapes and errors are those of ``forward``.
-        ``compared`` is the image that is compared with the threshold, ``(H, W, 3)``; by default it is ``image``.
         """
+        return self._rating(image, 0.0, compared)
+
+    def _rating(self, image: torch.Tensor, relaxation: float, compared: torch.Tensor | None) -> torch.Tensor:
         values = photometric_luminance(image, self.efficacy, self.camera)
         seen = None if compared is None else photometric_luminance(compared, self.efficacy, self.camera)
-        return cast_like(self._rate(values, self._find_sources(values, relaxation=0.0, compared=seen)), image)
+        return cast_like(self._rate(values, self._find_sources(values, relaxation, seen)), image)
 
     def unrated(self, image: torch.Tensor, *, hard: bool = False) -> str:
         """Return why the rating of an ``image``, ``(H, W, 3)``, has no class, or nothing; ``hard``: by ``hard``.

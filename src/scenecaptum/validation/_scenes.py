@@ -19,6 +19,7 @@ from ..estimation import (
     at_values,
     channel_totals,
     derived_seeds,
+    error_of_denoiser,
     half_sample_error,
     half_samples,
     input_values,
@@ -84,12 +85,14 @@ class Scenes:
     def difference(self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]) -> tuple[float, float]:
         """Return by how much changes raise the metric, and the error, of the pictures that ``render`` returned.
 
-        The error is that of half samples, because a rating may jump.
+        The error is that of half samples, because a rating may jump, and that of the denoiser.
         """
         difference = self._difference(images, changes)
         error = half_sample_error(difference, len(images))
         assert error is not None, "there are at least 2 replicates"
-        return difference(torch.arange(len(images))), error
+        after = at_values(self.metric, self.renderer, {**self.values, **changes})
+        of_denoiser = error_of_denoiser(self.metric, after, (self.images, images))
+        return difference(torch.arange(len(images))), math.hypot(error, of_denoiser)
 
     def half_differences(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return by how much changes raise the metric, as ``half_samples`` of the replicates."""
