@@ -254,6 +254,29 @@ def test_arithmetic_carries_errors():
     assert total.effects_error()["glass"] == pytest.approx(math.sqrt(2) * one.effects_error()["glass"])
 
 
+def test_a_difference_is_that_of_effects_over_the_range_of_each_result():
+    """A lamp at half its power has half the effect, where its gradient is the same."""
+    renderer = ToyRenderer()
+    half = {"x": renderer.inputs["x"] / 2}
+    on, dimmed = (
+        VanillaSceneGradient(renderer, torch.mean).attribute(values, seed=shifted(1))
+        for values in (None, half)
+    )
+    on, dimmed = (
+        dataclasses.replace(one, extents={"x": value["x"]})
+        for one, value in ((on, renderer.inputs), (dimmed, half))
+    )
+    effects = on.effects()["x"], dimmed.effects()["x"]
+    assert effects[1] == pytest.approx(effects[0] / 2)
+    difference = on - dimmed
+    assert difference.effects()["x"] == pytest.approx(effects[0] - effects[1])
+    assert difference.effects_error()["x"] == pytest.approx(on.effects_error()["x"] / 2, rel=1e-3)
+    assert (difference + dimmed).effects()["x"] == pytest.approx(effects[0])
+    assert "x: over the range in each result, not per unit" in " ".join(str(difference).split())
+    assert "over the range in each result" not in str(on - on)
+    torch.testing.assert_close((on - on / 2)["x"], on["x"] / 2)
+
+
 def test_the_name_of_an_object_suggests_its_parameters():
     with pytest.raises(KeyError, match=r"Did you mean 'floor\.reflectance\.value'"):
         SceneAttribution({"floor.reflectance.value": torch.ones(3)}, None, 1.0)["floor"]

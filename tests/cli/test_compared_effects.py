@@ -122,6 +122,19 @@ def test_an_effect_is_over_the_range_in_its_own_design(factor: float) -> None:
     assert "different ranges" not in " ".join(text_of(before, before))
 
 
+def test_a_light_that_is_off_in_both_designs_is_counted_only() -> None:
+    """Its effect, to first order, may be far off: as the largest of all it would be read as the main result."""
+    before = with_ranges(results.make(lights_off=["lamp"]))
+    after = dataclasses.replace(before, attributions={name: 1.5 * one for name, one in before.items()})
+    text = text_of(before, after)
+    assert not any(row.startswith("lamp") for row in rows_of(text))
+    assert "1 of lights that are off" in " ".join(" ".join(text).split())
+    assert "ranks last" not in " ".join(text)
+    moved = dataclasses.replace(before, parameter_values={"lamp": torch.zeros(3)})
+    switched = dataclasses.replace(after, parameter_values={"lamp": torch.ones(3)})
+    assert rows_of(text_of(moved, switched))[0].startswith("lamp")
+
+
 def test_the_error_of_a_change_over_different_ranges_is_that_of_common_random_numbers() -> None:
     """Half a lamp has half the effect in each replicate, so the error of the change is half of the effect's."""
     lamp = "light.emitter.radiance.value"

@@ -121,7 +121,8 @@ class SceneAttribution(AttributionData):
 
         Results with the same seed and samples use common random numbers, so the errors of their totals are
         computed from the differences of their replicates, and so is that of the metric's value. Otherwise, and for
-        single texels, they are treated as independent.
+        single texels, they are treated as independent. A parameter whose range differs, as that of a lamp that was
+        dimmed, has the difference of its effects, each over its own range, in place of that of its gradients.
 
         Raises
         ------

@@ -57,7 +57,13 @@ def add(a: A, b: A) -> A:
 
 
 def subtract(a: A, b: A) -> A:
-    """Return ``a - b`` for attributions to the same parameters."""
+    """Return ``a - b`` for attributions to the same parameters.
+
+    Where the range of a parameter differs, as that of a lamp that was dimmed, the difference is that of its
+    effects, over the range that it has in each.
+    """
+    ranged = with_different_ranges(a, b)
+    a, b = _over_own_ranges(a, ranged), _over_own_ranges(b, ranged)
     replicates = {n: a.replicates[n] - b.replicates[n] for n in a} if _has_common_random_numbers(a, b) else {}
     bias = None if a.bias is None or b.bias is None else {n: a.bias[n] - b.bias[n] for n in a}
     values = {name: a[name] - b[name] for name in a}
@@ -87,6 +93,48 @@ def subtract(a: A, b: A) -> A:
     )
 
 
+def with_different_ranges(a: AttributionData, b: AttributionData) -> list[str]:
+    """Return the parameters of two results whose gradients are per unit and whose ranges differ."""
+    if not (a.kind.is_gradient_per_unit and b.kind.is_gradient_per_unit):
+        return []
+    return [
+        name
+        for name, length in a.extents.items()
+        if name in a and name in b.extents and not torch.equal(length, b.extents[name])
+    ]
+
+
+def _over_own_ranges(one: A, names: Sequence[str]) -> A:
+    """Return a result in which some parameters are per range, and no longer per unit."""
+    if not names:
+        return one
+    ranges = {name: one.extents[name] for name in names}
+
+    def per_range(tensors: Tensors) -> dict[str, torch.Tensor]:
+        scaled = {
+            name: tensors[name] * length.reshape(tensors[name].shape[-1:])
+            for name, length in ranges.items()
+            if name in tensors
+        }
+        return {**tensors, **scaled}
+
+    def covariance_per_range(tensors: Tensors) -> dict[str, torch.Tensor]:
+        rows = {name: length[:, None] * tensors[name] for name, length in ranges.items()}
+        return per_range({**tensors, **rows})
+
+    return dataclasses.replace(
+        one,
+        attributions=per_range(one.attributions),
+        standard_error=one.standard_error and per_range(one.standard_error),
+        quadrature_error=one.quadrature_error and per_range(one.quadrature_error),
+        bias=one.bias and per_range(one.bias),
+        replicates=one.replicates and per_range(one.replicates),
+        covariance=one.covariance and covariance_per_range(one.covariance),
+        extents={**one.extents, **{name: torch.ones_like(length) for name, length in ranges.items()}},
+        info={**one.info, "own_ranges": [*one.info.get("own_ranges", ()), *names]},
+    )
+
+
 def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     not_shared = ("explained", "convergence", "quadrature_error", "metric_bias", "proportional_errors")
     info = {key: value for key, value in a.info.items() if key not in not_shared}
@@ -95,6 +143,8 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info |= _without_derivative(a.info, b.info)
     off = [*a.info.get("lights_off", ()), *b.info.get("lights_off", ())]
     info["lights_off"] = list(dict.fromkeys(off))
+    own = [*a.info.get("own_ranges", ()), *b.info.get("own_ranges", ())]
+    info["own_ranges"] = list(dict.fromkeys(own))
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 
-from ..attr import SceneAttribution
+from ..attr import SceneAttribution, with_different_ranges
 from ..report import Table, different_values
 from ..visualization import (
     Format,
@@ -76,9 +76,8 @@ def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[
     """Return the effects of the parameters that both results have, each over its own range, the largest first."""
     before, after = _of_common_parameters(before, after)
     own, others = ({row.name: row for row in one.ranking()} for one in (before, after))
-    difference = _over_own_ranges(after, before) - _over_own_ranges(before, after)
     found = []
-    for changed in difference.ranking():
+    for changed in (after - before).ranking():
         name, change, error = changed.name, changed.effect, changed.effect_error
         if name not in own or name not in others:
             continue  # a pose that has no derivative in one of both
@@ -98,7 +97,10 @@ def effect_table(
     found = compared_effects(before, after)
     if not found:
         return None
-    shown = _shown(found, different_values(before, after))
+    moved = different_values(before, after)
+    # To first order, the effect of a light that is off in both may be far off: it tells nothing of the designs.
+    off = (before.ranked_last() | after.ranked_last()) - {*moved}
+    shown = _shown([one for one in found if one.name not in off], moved)
     names = [one.name for one in shown]
     cautions = _of_both(titles, *(caution_groups(one, names) for one in (before, after)))
     notes = _of_both(titles, *(range_notes(one, among=names) for one in (before, after)))
@@ -118,7 +120,7 @@ def effect_table(
         f"effect: {axis_label(after, width=None)}{of_what}",
         ("effect of", *titles, f"change{unit}"),
         rows,
-        [*below, *_left_out([one for one in found if one not in shown])],
+        [*below, *_left_out([one for one in found if one not in shown], off)],
     )
 
 
@@ -141,7 +143,7 @@ def not_compared(before: SceneAttribution, after: SceneAttribution, titles: Sequ
 
 def with_own_ranges(before: SceneAttribution, after: SceneAttribution) -> str:
     """Return a sentence that names the effects over different ranges in both; empty if there are none."""
-    names = _with_different_ranges(before, after)
+    names = with_different_ranges(before, after)
     if not names:
         return ""
     return (
@@ -236,8 +238,9 @@ def _shown(found: Sequence[ComparedEffect], moved: Sequence[str]) -> list[Compar
     )
 
 
-def _left_out(hidden: Sequence[ComparedEffect]) -> list[str]:
-    """Return a line that counts the effects that are not shown, and says why."""
+def _left_out(every: Sequence[ComparedEffect], off: Collection[str] = ()) -> list[str]:
+    """Return a line that counts the effects that are not shown, and says why, and those of lights that are off."""
+    hidden = [one for one in every if one.name not in off]
     clear = [abs(one.change) for one in hidden if one.is_clear]
     equal = sum(one.is_equal for one in hidden)
     reasons = {
@@ -246,10 +249,12 @@ def _left_out(hidden: Sequence[ComparedEffect]) -> list[str]:
         f"a change of at most {rounded_up(max(clear, default=0.0), 2)}": len(clear),
     }
     parts = [f"{count} with {reason}" for reason, count in reasons.items() if count]
+    if len(hidden) < len(every):
+        parts.append(f"{len(every) - len(hidden)} of lights that are off")
     if not parts:
         return []
-    which = f", {', '.join(parts)}" if len(parts) > 1 else parts[0].removeprefix(f"{len(hidden)}")
-    return [f"not shown: {pluralize(len(hidden), 'effect')}{which}"]
+    which = f", {', '.join(parts)}" if len(parts) > 1 else parts[0].removeprefix(f"{len(every)}")
+    return [f"not shown: {pluralize(len(every), 'effect')}{which}"]
 
 
 def _marks(cautions: Mapping[str, Sequence[str]], noted: Collection[str]) -> dict[str, str]:
@@ -291,39 +296,3 @@ def _of_common_parameters(
         dataclasses.replace(one, attributions={name: one[name] for name in names}) for one in (before, after)
     )
     return first, second
-
-
-def _with_different_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
-    """Return the parameters whose own ranges differ."""
-    return [
-        name
-        for name, length in before.extents.items()
-        if name in before and name in after.extents and not torch.equal(length, after.extents[name])
-    ]
-
-
-def _over_own_ranges(one: SceneAttribution, other: SceneAttribution) -> SceneAttribution:
-    """Return a result that is per range, and no longer per unit, where the other has another range.
-
-    So both can be subtracted, with the errors of common random numbers.
-    """
-    ranges = {name: one.extents[name] for name in _with_different_ranges(one, other)}
-
-    def per_range(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        scaled = {
-            name: tensors[name] * length.reshape(tensors[name].shape[-1:]) for name, length in ranges.items()
-        }
-        return {**tensors, **scaled}
-
-    def covariance_per_range(tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        rows = {name: length[:, None] * tensors[name] for name, length in ranges.items()}
-        return per_range({**tensors, **rows})
-
-    return dataclasses.replace(
-        one,
-        attributions=per_range(one.attributions),
-        bias=one.bias and per_range(one.bias),
-        replicates=one.replicates and per_range(one.replicates),
-        covariance=one.covariance and covariance_per_range(one.covariance),
-        extents={**one.extents, **{name: torch.ones_like(length) for name, length in ranges.items()}},
-    )

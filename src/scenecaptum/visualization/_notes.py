@@ -77,13 +77,15 @@ def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:
 def unit_notes(
     attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
 ) -> list[str]:
-    """Return a note where numbers per unit of different kinds of parameters are ranked together.
+    """Return notes on the units of the rows: of differences over two ranges, and per unit of different kinds.
 
     A reflectance has a range of 1 and a radiance one of hundreds: the order of their numbers per unit says little.
     """
+    ranged = [row.label for row in rows if row.name in attribution.info.get("own_ranges", ())]
+    notes = [f"{first_few(ranged, '; ')}: over the range in each result, not per unit"] if ranged else []
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if kind.has_sign and not kind.is_gradient_per_unit:
-        return []
+        return notes
     kinds = {row.label.rpartition(": ")[2] for row in rows if ": " in row.label}
     ranges = {
         round(float(attribution.extents[row.name].max()), 6)
@@ -91,8 +93,8 @@ def unit_notes(
         if row.name in attribution.extents
     }
     if len(kinds) < 2 or len(ranges) == 1:
-        return []
-    return ["per unit: compare parameters of one kind only"]
+        return notes
+    return [*notes, "per unit: compare parameters of one kind only"]
 
 
 def jump_notes(attribution: Attribution, among: Collection[str] | None = None) -> list[str]:
