@@ -8,9 +8,13 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Iterable, Sequence
+from fnmatch import fnmatchcase
 from numbers import Real
 
 _MOST_LISTED = 20  # names in a message
+_PARTS = re.compile(r"[.\s]")
+_SAME_OBJECT = 0.75  # similarity of first parts; "light" and "wall_right" have 0.67
+INPUT_NAMES = " All names are in the `inputs` of the renderer."  # where nothing is close to a wrong one
 # What the same thing is called elsewhere, and here.
 _SYNONYMS = {"--camera": "--sensor", "--inputs": "--kind", "lamps": "emitters", "lights": "emitters"}
 
@@ -29,20 +33,58 @@ class UnknownNameError(SceneCaptumError, KeyError):
     __str__ = Exception.__str__  # KeyError would quote the whole message
 
 
-def near_misses(name: str, known: Iterable[str], limit: int = 3) -> str:
+def near_misses(name: str, known: Iterable[str], limit: int = 3, *, instead: str = "") -> str:
     """Return ``' Did you mean …?'`` for the known names closest to ``name``, or an empty string.
 
-    Names that have ``name`` as one of their parts or words come first: ``floor`` means
-    ``floor.reflectance.value``, and ``lamp`` means ``table lamp``. What has another name here comes alone.
+    Where the first part of ``name`` is, exactly or closely, that of dotted names, only these are suggested:
+    ``floor.albedo`` means ``floor.reflectance.value``, and not ``wall.albedo``. Names that have ``name`` as one of
+    their parts or words come next: ``lamp`` means ``table lamp``. What has another name here comes alone.
+
+    Parameters
+    ----------
+    name
+        The name that is not known. It may be a glob.
+    known
+        The names that are.
+    limit
+        The most that are suggested.
+    instead
+        The text to return where nothing is close: where the names are listed.
     """
     candidates = list(known)
     if (synonym := _SYNONYMS.get(name.lower())) in candidates:
         return f" Did you mean {synonym!r}?"
     by_folded = {candidate.lower(): candidate for candidate in candidates}
-    whole = [folded for folded in by_folded if name.lower() in re.split(r"[.\s]", folded)]
-    close = whole + difflib.get_close_matches(name.lower(), by_folded, n=limit)
+    close = _of_same_object(name.lower(), by_folded)
+    if not close:
+        wrong = name.lower().replace("*", "")
+        whole = [folded for folded in by_folded if wrong in _PARTS.split(folded)]
+        close = whole + difflib.get_close_matches(wrong, by_folded, n=limit)
     close = list(dict.fromkeys(close))[:limit]
-    return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else ""
+    return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else instead
+
+
+def _of_same_object(wrong: str, known: Iterable[str]) -> list[str]:
+    """Return the dotted names whose first part is closest to that of a wrong name, closest names first."""
+    dotted = [name for name in known if "." in name]
+    plain = [name for name in known if "." not in name]
+    owners = list(dict.fromkeys(name.partition(".")[0] for name in dotted))
+    first, _, rest = wrong.partition(".")
+    own = first.replace("*", "")
+    if not own:
+        return []
+    same = [owner for owner in owners if fnmatchcase(owner, first)]
+    if not same:
+        is_part = any(own in _PARTS.split(name) for name in known)
+        if not rest and (is_part or difflib.get_close_matches(own, plain)):
+            return []  # a later part of the names, or one of those without dots
+        same = [owner for owner in owners if own in re.split(r"[_\s]", owner)]
+        same = same or difflib.get_close_matches(own, owners, n=1, cutoff=_SAME_OBJECT)
+
+    def closeness(name: str) -> float:
+        return difflib.SequenceMatcher(None, wrong, name).ratio()
+
+    return sorted((name for name in dotted if name.partition(".")[0] in same), key=closeness, reverse=True)
 
 
 def listed(names: Sequence[str]) -> str:

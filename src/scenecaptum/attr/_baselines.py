@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 import torch
 
-from ..errors import SceneCaptumError, near_misses
+from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..protocols import Capabilities, Renderer
 from ..scene import Parameter
 
@@ -164,8 +164,8 @@ def matches(renderer: Renderer, values: Values, key: Any) -> tuple[int, list[str
     if not names:
         raise SceneCaptumError(
             f"baselines names {key!r}, which matches none of the {len(values)} inputs."
-            f"{near_misses(key, [*values, *KINDS])} Use a parameter's name, a glob, or a kind "
-            f"({', '.join(KINDS)})."
+            f"{near_misses(key, [*values, *KINDS], instead=INPUT_NAMES)} Use a parameter's name, a glob, or a "
+            f"kind ({', '.join(KINDS)})."
         )
     return rank, names
 

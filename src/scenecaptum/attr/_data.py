@@ -86,7 +86,8 @@ class AttributionData(Mapping[str, torch.Tensor]):
                     f"{name!r}; ranking()[{name!r}] is a row of the ranking."
                 ) from None
             raise UnknownNameError(
-                f"There is no attribution to {name!r}.{near_misses(name, self.attributions)}"
+                f"There is no attribution to {name!r}."
+                f"{near_misses(name, self.attributions, instead=' list(attribution) gives all names.')}"
             ) from None
 
     def __contains__(self, name: object) -> bool:

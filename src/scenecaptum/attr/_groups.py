@@ -9,7 +9,7 @@ from typing import TypeAlias, TypeVar
 
 import torch
 
-from ..errors import SceneCaptumError, near_misses
+from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..estimation import channel_totals
 from ..protocols import Capabilities, Renderer
 from ..scene import Parameter
@@ -108,7 +108,7 @@ def _matching(names: tuple[str, ...], group: str, pattern: str) -> list[str]:
     if not matched:
         raise SceneCaptumError(
             f"The group {group!r} names {pattern!r}, which matches none of the {len(names)} inputs."
-            f"{near_misses(pattern, names)}"
+            f"{near_misses(pattern, names, instead=INPUT_NAMES)}"
         )
     return matched
 

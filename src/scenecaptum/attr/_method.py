@@ -340,20 +340,22 @@ class Run:
         """Return the option to set for more samples of the picture at the inputs; None if they are not counted.
 
         ``picture_spp=`` is that of the picture alone. Without it, the picture of a single point has a multiple of
-        ``spp=``, and that of many at least as many. With a goal, ``spp=`` is of the first round only.
+        ``spp=``, and that of many all samples of their pictures. With a goal, ``spp=`` is of the first round only.
         """
         samples = gradients.total_image_spp
         if samples is None:
             return None
         has_goal = isinstance(gradients, Rounds)
         instead = " in place of a goal" if has_goal else ""
-        if (picture_spp := self.settings.picture_spp) is not None:
-            if gradients.n_points > 1 and not has_goal and gradients.extra_spp:
-                # Points at which the metric is linear take no extra samples.
-                return SampleOption("picture_spp", picture_spp * samples / gradients.extra_spp)
-            return SampleOption("picture_spp", samples, instead)
-        if gradients.n_points > 1 and not has_goal:
-            return SampleOption("spp", max(samples, MIN_METRIC_SPP))
+        keyword, given = "picture_spp", self.settings.picture_spp
+        if given is None:
+            keyword, given = "spp", self.settings.spp
+        if gradients.n_points > 1 and not has_goal and given is not None:
+            least, has = given + 1, max(samples, MIN_METRIC_SPP)
+            needed = gradients.picture_spp_for if keyword == "picture_spp" else gradients.spp_for
+            return SampleOption(keyword, given, needed=lambda factor: max(least, needed(factor * has)))
+        if keyword == "picture_spp":
+            return SampleOption(keyword, samples, instead)
         adjoints = evaluation.adjoints
         ratio = 1.0 if adjoints.is_linear else gradients.default_ratio(denoises=adjoints.transform.denoises)
         return SampleOption("spp", samples / ratio, instead)

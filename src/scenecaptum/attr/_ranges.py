@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from ..errors import SceneCaptumError, near_misses
+from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..estimation import Stream, derived_seeds
 from ..protocols import Capabilities, Renderer
 from ..scene import reflect
@@ -143,7 +143,10 @@ def _stdevs(renderer: Renderer, values: Tensors, stdevs: float | Mapping[str, fl
                     by_name[name] = _stdev(f"stdevs[{key!r}]", stdev)
     for key in stdevs:
         if not any(key in (name, kinds[name]) or fnmatchcase(name, key) for name in values):
-            raise SceneCaptumError(f"stdevs names {key!r}, which no input matches.{near_misses(key, values)}")
+            raise SceneCaptumError(
+                f"stdevs names {key!r}, which no input matches."
+                f"{near_misses(key, values, instead=INPUT_NAMES)}"
+            )
     return by_name
 
 

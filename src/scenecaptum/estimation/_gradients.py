@@ -277,6 +277,25 @@ class GradientEstimator:
         total = self.budget.total
         return None if total is None else total + self.extra_spp
 
+    def spp_for(self, picture: float) -> float:
+        """Return the ``spp`` from which on the pictures of several points have this many samples in all.
+
+        A point that has fewer replicates than others, or fewer samples than a metric needs, gets pictures of its
+        own; see ``_evaluate_metrics``.
+        """
+        replicates = self.budget.replicates
+        own = sum(count < max(replicates) for count in replicates) / self.n_points
+        least = MIN_METRIC_SPP * self.n_points
+        return picture - least if picture <= (1 + own) * least else picture / (1 + own)
+
+    def picture_spp_for(self, picture: float) -> float:
+        """Return the ``picture_spp`` from which on the pictures of several points have this many samples in all.
+
+        If it is more than ``spp``, every point gets pictures of its own.
+        """
+        total = self.budget.total or 0
+        return max(picture - total, total + 1)
+
     @property
     def is_linear(self) -> bool:
         """Whether all metrics are linear, as far as they were evaluated."""

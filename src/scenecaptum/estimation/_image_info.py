@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -24,20 +24,31 @@ _FLOOR = 0.01  # of the mean brightness: the relative noise of darker pixels doe
 class SampleOption(NamedTuple):
     """The option that the samples of a picture grow with: ``keyword=value`` gives as many as the picture has.
 
-    ``instead`` follows where another option that is set has to be left out.
+    ``instead`` follows where another option that is set has to be left out. ``needed`` returns the value for a
+    multiple of the samples of the picture; without it, they are proportional.
     """
 
     keyword: str
     value: float
     instead: str = ""
+    needed: Callable[[float], float] | None = None
 
     def times(self, factor: float) -> str:
-        """Return ``"use spp=3360 or more"`` for a picture of ``factor`` times the samples."""
-        return f"use {self.keyword}={math.ceil(factor * self.value)} or more{self.instead}"
+        """Return ``"use spp=3400 or more"`` for a picture of at least ``factor`` times the samples."""
+        value = factor * self.value if self.needed is None else self.needed(factor)
+        return f"use {self.keyword}={math.ceil(_rounded_up(value))} or more{self.instead}"
 
 
-def _more_samples(option: SampleOption | None, factor: int) -> str:
-    return f"use at least {factor} times the samples" if option is None else option.times(factor)
+def _more_samples(option: SampleOption | None, factor: float) -> str:
+    return (
+        f"use at least {_rounded_up(factor):g} times the samples" if option is None else option.times(factor)
+    )
+
+
+def _rounded_up(number: float) -> float:
+    """Return the next number of two digits."""
+    scale = 10.0 ** (math.floor(math.log10(number)) - 1)
+    return round(math.ceil(number / scale * (1 - ROUNDING)) * scale, 9)
 
 
 def relative_noise(images: Sequence[torch.Tensor]) -> float | None:
@@ -126,7 +137,7 @@ def _differs(
     *,
     compares: bool,
     option: SampleOption | None,
-) -> tuple[str | None, int]:
+) -> tuple[str | None, float]:
     """Return the values if the metric differs significantly at half of the samples, or after denoising.
 
     Also return how many times the samples it needs, or 0. Samples are counted only where the picture has as many
@@ -148,7 +159,7 @@ def _differs(
         factors = [(change / noise) ** 2] if noise else []
         factors += [] if compares or not value else [abs(change) / (_NEGLIGIBLE * abs(value))]
         said = f"{rounded(value + change, 4)} at {half}, {rounded(value, 4)} at {full}"
-        return said, math.ceil(min(factors, default=0.0))
+        return said, min(factors, default=0.0)
     if denoised is not None and abs(denoised - value) > limit:
         return f"{rounded(value, 4)} as rendered, {rounded(denoised, 4)} denoised", 0
     return None, 0
@@ -156,7 +167,7 @@ def _differs(
 
 def _above_tolerance(
     noise: float | None, transform: ImageTransform, tolerated: float | None
-) -> tuple[str | None, int]:
+) -> tuple[str | None, float]:
     """Return the error of the pixels if it is larger than a metric tolerates, and how many samples it needs.
 
     The latter is a multiple of those it has: 1 or less if only the denoiser is at fault.
@@ -170,7 +181,7 @@ def _above_tolerance(
     used = math.sqrt(transform.denoised_error or 0.0) if is_denoised else noise
     if used <= tolerated:
         return None, 0
-    factor = math.ceil((noise / tolerated) ** 2)
+    factor = (noise / tolerated) ** 2
     decimals = next((d for d in range(3) if round(100 * used, d) > round(100 * tolerated, 3)), 3)
     return (
         f"the {'error of a denoised' if is_denoised else 'noise of a'} pixel is {100 * used:.{decimals}f} %, and "

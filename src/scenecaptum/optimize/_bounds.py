@@ -9,7 +9,7 @@ from typing import Protocol, TypeAlias, TypeVar
 
 import torch
 
-from ..errors import SceneCaptumError, near_misses
+from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..protocols import Capabilities, Renderer
 
 Limit: TypeAlias = "float | Sequence[float]"
@@ -78,7 +78,10 @@ def chosen_limits(
     for key, interval in sorted(limits.items(), key=lambda item: item[0] in values):
         names = [key] if key in values else [name for name in values if fnmatchcase(name, key)]
         if not names:
-            raise SceneCaptumError(f"limits names {key!r}, which no input matches.{near_misses(key, values)}")
+            raise SceneCaptumError(
+                f"limits names {key!r}, which no input matches."
+                f"{near_misses(key, values, instead=INPUT_NAMES)}"
+            )
         for name in names:
             value = values[name]
             low, high = (torch.as_tensor(limit).to(value) for limit in interval)

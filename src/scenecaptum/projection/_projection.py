@@ -269,7 +269,7 @@ def _select(attribution: Attribution, parameter: Names) -> list[str]:
         if not matched:
             raise SceneCaptumError(
                 f"parameter={pattern!r} matches none of the {len(attribution)} parameters of the attribution."
-                f"{near_misses(pattern, attribution)}"
+                f"{near_misses(pattern, attribution, instead=' list(attribution) gives all names.')}"
             )
         selected |= dict.fromkeys(matched)
     return list(selected)

@@ -17,7 +17,7 @@ from ..camera import Camera, View
 from ..checkpoint import Checkpoint, Folder, digest
 from ..daylight import SkyPatches
 from ..denoising import Guides
-from ..errors import SceneCaptumError, check_seed, near_misses, whole_number
+from ..errors import INPUT_NAMES, SceneCaptumError, check_seed, near_misses, whole_number
 from ..finite import NotFiniteError
 from ..grid import GridPoints, SensorGrid
 from ..projection import SurfaceMap
@@ -1132,7 +1132,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             if name in self._table:
                 raise SceneCaptumError(f"{name!r} cannot be set: {self._table[name].problem}.")
             raise SceneCaptumError(
-                f"The scene has no parameter {name!r}.{near_misses(name, self._state.original)}"
+                f"The scene has no parameter {name!r}."
+                f"{near_misses(name, self._state.original, instead=INPUT_NAMES)}"
             )
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__

@@ -176,7 +176,8 @@ class SceneParameters(Mapping[str, Parameter]):
             return self._by_name[name]
         except KeyError:
             raise UnknownNameError(
-                f"The scene has no parameter {name!r}.{near_misses(name, self._by_name)}"
+                f"The scene has no parameter {name!r}."
+                f"{near_misses(name, self._by_name, instead=' Print the table for all names.')}"
             ) from None
 
     def __contains__(self, name: object) -> bool:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
-from ..errors import SceneCaptumError, near_misses
+from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ._parameter_table import SceneParameters
 from ._selection import is_of_kind
 
@@ -30,7 +30,9 @@ def choose_ranges(
                     chosen[name] = _checked(key, interval)
                     unmatched.pop(key, None)
     for key in unmatched:
-        raise SceneCaptumError(f"ranges names {key!r}, which no input matches.{near_misses(key, names)}")
+        raise SceneCaptumError(
+            f"ranges names {key!r}, which no input matches.{near_misses(key, names, instead=INPUT_NAMES)}"
+        )
     return chosen
 
 

@@ -119,7 +119,7 @@ def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> st
     rest = item.partition(".")[2]
     globs = {f"{name.partition('.')[0]}.{rest}" for name in known} if "*" in rest else set[str]()
     matching = [glob for glob in sorted(globs) if any(_selects(glob, name) for name in known)]
-    return near_misses(item, matching) or near_misses(item.replace("*", ""), [*kinds, *known])
+    return near_misses(item, matching, instead=near_misses(item, [*kinds, *known]))
 
 
 def _selects(glob: str, name: str) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ..attr import table_of
-from ..errors import SceneCaptumError, near_misses
+from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..estimation import Point
 from ..protocols import Capabilities, Renderer
 from ..scene import OPEN_MARGIN
@@ -68,7 +68,7 @@ def find_scalars(
     for key in (*(parameters or ()), *given):
         if not any(fnmatchcase(name, key) for name in values):
             raise SceneCaptumError(
-                f"{key!r} matches none of the {len(values)} inputs.{near_misses(key, values)}"
+                f"{key!r} matches none of the {len(values)} inputs.{near_misses(key, values, instead=INPUT_NAMES)}"
             )
     selected = [n for n in values if parameters is None or any(fnmatchcase(n, key) for key in parameters)]
     matching = {n: given.get(n, next((given[k] for k in given if fnmatchcase(n, k)), None)) for n in selected}
