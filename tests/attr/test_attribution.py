@@ -571,6 +571,18 @@ def test_inputs_that_are_not_a_mapping_are_refused(inputs: object) -> None:
         method.attribute(inputs)
 
 
+def test_a_result_has_the_inputs_that_are_given(cornell) -> None:
+    """The others keep their values in the scene; with all values the others are in the result too."""
+    method, (name, *_) = VanillaSceneGradient(cornell, torch.mean), cornell.inputs
+    value = {name: 0.5 * cornell.inputs[name]}
+    part, whole = (
+        method.attribute(values, seed=shifted(), spp=64) for values in (value, {**cornell.inputs, **value})
+    )
+    assert list(part) == [name]
+    assert list(whole) == list(cornell.inputs)
+    assert float(part.metric_value) == pytest.approx(float(whole.metric_value), rel=0.05)
+
+
 def test_subpackages_are_attributes_and_load_when_used() -> None:
     code = (
         "import sys, scenecaptum as sc\n"

@@ -77,7 +77,8 @@ class OcclusionScene(Perturbation):
         Parameters
         ----------
         inputs
-            Textures ``(H, W, C)`` and grids ``(D, H, W, C)`` by parameter name; the renderer's own by default.
+            Textures ``(H, W, C)`` and grids ``(D, H, W, C)`` by parameter name; by default those of the renderer.
+            The result has only the names that are given.
         sliding_window_shapes
             Window size ``(h, w)`` in texels, ``(d, h, w)`` for a grid, one number for all dimensions, or a mapping
             from names or globs to these. By default 8 × 8 windows cover a texture, 4 × 4 × 4 a grid.

@@ -9,14 +9,16 @@ from dataclasses import dataclass, field
 
 import torch
 
-from ..estimation import Stream, derived_seeds
+from ..estimation import Stream, derived_seeds, student_t
 from ..protocols import Capabilities, Renderer
 
 Tensors = Mapping[str, torch.Tensor]
 
 REPLICATES = 8
 DIFFERENCE_SPP_DIVISOR = 4  # samples of a difference, as in the backward passes of the renderer
-SIGNIFICANT = 4.5  # standard errors: 0.3 % by chance, Student with 7 degrees of freedom
+# Of all tests of the steps, and of all tests over the ranges, if noise is normal. Means of few skewed numbers are
+# as far off up to ten times as often.
+FALSE_ALARMS = 0.001
 # A gradient that changes by more than this part of itself where its step is doubled is not near its limit. Across
 # a jump it halves.
 LARGEST_CHANGE = 0.3
@@ -72,13 +74,14 @@ def step_errors(
         for name, changes in measure(values, adjoint, seeds=seeds, spp=spp, names=names).items()
     }
     found = StepErrors()
+    significant = _significant(sum(changes[0].numel() for changes in measured.values()))
     for name, changes in measured.items():
         change = changes.double().mean(0)
         noise = changes.double().var(0) / len(changes)
         found.truncation[name] = ((change.square() - noise).clamp_min(0).sqrt() / 3).to(gradients[name])
         gradient = gradients[name].double()
         larger = torch.maximum(gradient.abs(), (gradient + change).abs())
-        is_far = (change.abs() > SIGNIFICANT * noise.sqrt()) & (change.abs() > LARGEST_CHANGE * larger)
+        is_far = (change.abs() > significant * noise.sqrt()) & (change.abs() > LARGEST_CHANGE * larger)
         # What hardly matters beside the other directions does not make the whole pose a jump.
         is_far &= change.abs() > LARGEST_CHANGE * gradient.norm() / 2
         if not is_far.any():
@@ -114,15 +117,24 @@ def local_poses(
     spp = max(1, math.ceil(max(samples[name] for name in directions) / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))
     seeds = derived_seeds(seed, Stream.RANGE_CHANGES, REPLICATES)
     found = []
-    for name, rows in measure(values, directions, adjoint, seeds=seeds, spp=spp).items():
+    measured = measure(values, directions, adjoint, seeds=seeds, spp=spp)
+    significant = _significant(len(measured))
+    for name, rows in measured.items():
         mean, noise = rows.mean(), rows.std() / math.sqrt(len(rows))
         change = (mean - lengths[name]).abs()
         error = torch.hypot(noise, (errors[name].double() * directions[name]).norm())
-        if change > SIGNIFICANT * error and change > LARGEST_CHANGE * torch.maximum(
-            lengths[name], mean.abs()
-        ):
+        larger = torch.maximum(lengths[name], mean.abs())
+        if change > significant * error and change > LARGEST_CHANGE * larger:
             found.append(name)
     return found
+
+
+def _significant(tests: int) -> float:
+    """Return how many standard errors a change must have, so that few of all tests of a result are false alarms.
+
+    By Student's t, with Bonferroni's correction: of many directions, one would exceed a fixed threshold by chance.
+    """
+    return student_t(1 - FALSE_ALARMS / max(1, tests), REPLICATES - 1)
 
 
 def _reason(renderer: Renderer, name: str, is_far: torch.Tensor) -> str:

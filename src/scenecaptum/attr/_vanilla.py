@@ -66,7 +66,9 @@ class VanillaSceneGradient(GradientMethod):
         Parameters
         ----------
         inputs
-            Values by parameter name; the renderer's own by default.
+            Values by parameter name; by default those of all inputs of the renderer. The result has only the names
+            that are given, and the others keep their values in the scene. To set one value and attribute to all
+            inputs, pass ``{**renderer.inputs, name: value}``.
         target
             Element of the metric's output to attribute, if it is not a scalar: its index, or for the metric of a
             classifier the name of a class. A list gives a list of results from the same renders.
