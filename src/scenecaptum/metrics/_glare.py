@@ -133,7 +133,8 @@ class GlareRating(torch.nn.Module):
     def hard(self, image: torch.Tensor, *, compared: torch.Tensor | None = None) -> torch.Tensor:
         """Return the rating by the definition: with the hard threshold of evalglare, which ``relaxation`` smooths.
 
-        Both are the same where no pixel is within the transition. Shapes and errors are those of ``forward``.
+        Both are the same where no pixel is within the transition. ``image``, ``compared``, shapes and errors are
+        those of ``forward``.
         """
         return self._rating(image, 0.0, compared)
 
