@@ -1,3 +1,5 @@
+import re
+
 import pytest
 import torch
 from seeds import shifted
@@ -34,6 +36,7 @@ NAMES = (
         ("flor*", ["floor.reflectance.data"]),
         ("desk.base_colour.value", ["desk.base_color.value", "desk.roughness.value"]),
         ("wall_*.albedo", [name for name in NAMES if name.startswith("wall_")]),
+        ("back_wall.reflectance.value", ["wall_back.reflectance.value"]),
         ("wall.albedo", [name for name in NAMES if name.startswith("wall_")]),
         ("radiance", ["bulb.emitter.radiance.value"]),
         ("emiters", ["emitters"]),
@@ -45,7 +48,7 @@ NAMES = (
 )
 def test_suggestions_are_of_the_object_that_was_named(wrong, suggested):
     said = near_misses(wrong, [*KINDS, *NAMES], instead=" See the list.")
-    names = [name.strip("'?") for name in said.removeprefix(" Did you mean ").split(", ")]
+    names = re.findall("'(.*?)'", said)
     if not suggested:
         assert said == " See the list."
     elif len(suggested) == 1 and suggested[0] in KINDS:
@@ -53,6 +56,13 @@ def test_suggestions_are_of_the_object_that_was_named(wrong, suggested):
     else:
         assert set(names) == set(suggested)
         assert names[0] == suggested[0] or wrong.startswith("wall")
+
+
+def test_names_of_other_objects_are_followed_by_where_all_names_are():
+    for wrong, is_other in (("table.base_color.value", True), ("desk.base_colour.value", False)):
+        said = near_misses(wrong, NAMES, instead=" See the list.")
+        assert said.startswith(" Did you mean 'desk.base_color.value'")
+        assert said.endswith(" See the list.") == is_other
 
 
 def test_at_most_three_names_are_suggested():

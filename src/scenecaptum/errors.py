@@ -13,6 +13,7 @@ from numbers import Real
 
 _MOST_LISTED = 20  # names in a message
 _PARTS = re.compile(r"[.\s]")
+_WORDS = re.compile(r"[_\s]")
 _SAME_OBJECT = 0.75  # similarity of first parts; "light" and "wall_right" have 0.67
 INPUT_NAMES = " All names are in the `inputs` of the renderer."  # where nothing is close to a wrong one
 # What the same thing is called elsewhere, and here.
@@ -38,7 +39,8 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3, *, instead: str
 
     Where the first part of ``name`` is, exactly or closely, that of dotted names, only these are suggested:
     ``floor.albedo`` means ``floor.reflectance.value``, and not ``wall.albedo``. Names that have ``name`` as one of
-    their parts or words come next: ``lamp`` means ``table lamp``. What has another name here comes alone.
+    their parts or words come next: ``lamp`` means ``table lamp``. What has another name here comes alone. Names
+    of other objects are followed by ``instead``.
 
     Parameters
     ----------
@@ -49,19 +51,20 @@ def near_misses(name: str, known: Iterable[str], limit: int = 3, *, instead: str
     limit
         The most that are suggested.
     instead
-        The text to return where nothing is close: where the names are listed.
+        The text to return where nothing is close, or only other objects are: where the names are listed.
     """
     candidates = list(known)
     if (synonym := _SYNONYMS.get(name.lower())) in candidates:
         return f" Did you mean {synonym!r}?"
     by_folded = {candidate.lower(): candidate for candidate in candidates}
-    close = _of_same_object(name.lower(), by_folded)
+    close, behind = _of_same_object(name.lower(), by_folded), ""
     if not close:
         wrong = name.lower().replace("*", "")
         whole = [folded for folded in by_folded if wrong in _PARTS.split(folded)]
         close = whole + difflib.get_close_matches(wrong, by_folded, n=limit)
+        behind = instead if "." in wrong and not whole else ""
     close = list(dict.fromkeys(close))[:limit]
-    return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?" if close else instead
+    return f" Did you mean {', '.join(repr(by_folded[c]) for c in close)}?{behind}" if close else instead
 
 
 def _of_same_object(wrong: str, known: Iterable[str]) -> list[str]:
@@ -78,7 +81,10 @@ def _of_same_object(wrong: str, known: Iterable[str]) -> list[str]:
         is_part = any(own in _PARTS.split(name) for name in known)
         if not rest and (is_part or difflib.get_close_matches(own, plain)):
             return []  # a later part of the names, or one of those without dots
-        same = [owner for owner in owners if own in re.split(r"[_\s]", owner)]
+        words = sorted(_WORDS.split(own))  # "back_wall" is "wall_back"
+        same = [
+            owner for owner in owners if own in _WORDS.split(owner) or words == sorted(_WORDS.split(owner))
+        ]
         same = same or difflib.get_close_matches(own, owners, n=1, cutoff=_SAME_OBJECT)
 
     def closeness(name: str) -> float:
