@@ -160,7 +160,8 @@ def test_a_light_that_is_switched_off_keeps_the_range_of_the_scene(mi):
     assert without.effects()[lamp] == pytest.approx(on.effects()[lamp], rel=1e-3)
     assert without.info["unit_ranges"] == []
     assert range_lengths(renderer, off)[lamp] == renderer.inputs[lamp].max()
-    assert without.info["lights_off"] == [], "the metric is linear in the light"
+    assert without.lights_off() == {lamp}
+    assert without.ranked_last() == frozenset(), "the metric is linear in the light"
 
 
 def test_the_effect_of_a_light_that_is_off_has_a_note_under_a_metric_that_is_not_linear(mi):
@@ -186,8 +187,8 @@ def test_the_effect_of_a_light_that_is_off_has_a_note_under_a_metric_that_is_not
         VanillaSceneGradient(renderer, metric).attribute(values, seed=shifted(1))
         for metric, values in ((squared, None), (squared, dark), (torch.mean, dark))
     )
-    assert on.info["lights_off"] == linear.info["lights_off"] == []
-    assert without.info["lights_off"] == [lamp], "a black reflectance is no light"
+    assert on.lights_off() == frozenset()
+    assert without.lights_off() == linear.lights_off() == {lamp}, "a black reflectance is no light"
     (note,) = range_notes(without)
     assert note.startswith(f"{without.labels[lamp]}: off, and squared is not linear in the light")
     assert note.endswith("render the change")
@@ -227,6 +228,45 @@ def test_a_group_leaves_out_a_light_that_is_off_unless_it_has_nothing_else():
     assert left_out.startswith("glass: off, ")
     assert "left out of its group" in left_out
     assert "not shown" not in str(summed)
+
+
+@pytest.mark.parametrize("is_linear", [True, False])
+@pytest.mark.parametrize("groups", [None, {"lights": ("lamp", "glass"), "rest": ("wall",)}])
+def test_a_light_that_is_switched_off_takes_its_effect_with_it(is_linear, groups):
+    """Dimmed to 1 % it takes nearly all of it, and its effect when it is off is that of switching it on."""
+    on = attribution()
+    rows = {name: channel_totals(value)[None].double().repeat(8, 1) for name, value in on.items()}
+    on = dataclasses.replace(on, replicates=rows, info={**on.info, "linear_in_light": is_linear})
+    off = dataclasses.replace(on, info={**on.info, "lights_off": ["lamp"]})
+    if groups:
+        on, off = (sum_groups(one, groups) for one in (on, off))
+        assert any("lamp: off" in note for note in range_notes(off))
+    lamp = "lights" if groups else "lamp"
+    difference, back = on - off, off - on
+    assert difference.effects()[lamp] == pytest.approx(0.5)
+    assert back.effects()[lamp] == pytest.approx(-0.5)
+    assert {name for name, effect in difference.effects().items() if effect} == {lamp}
+    assert difference.ranking()[0].name == lamp
+    assert range_notes(difference) == {}
+    assert (off - off).effects()[lamp] == 0
+
+
+def test_the_effect_of_a_lamp_that_is_switched_off_is_the_rendered_change(mi):
+    lamp = "light.emitter.radiance.value"
+    renderer = SceneRenderer(
+        "cornell-box", ["reflectance", "emitters"], resolution=(8, 8), spp=64, max_depth=3
+    )
+    method, metric = VanillaSceneGradient(renderer, metrics.MeanLuminance()), metrics.MeanLuminance()
+    dark = {**renderer.inputs, lamp: torch.zeros(3)}
+    groups = {"lights": [lamp], "walls": "*.reflectance.*"}
+    for grouping in (None, groups):
+        on, off = (method.attribute(one, seed=shifted(1), groups=grouping) for one in (None, dark))
+        difference, name = on - off, "lights" if grouping else lamp
+        assert difference.effects()[name] == pytest.approx(
+            metric(renderer(seed=shifted(5), spp=512)).item(), rel=0.1
+        )
+        assert difference.effects_error()[name] == pytest.approx(on.effects_error()[name], rel=0.02)
+        assert range_notes(difference) == {}
 
 
 def test_groups_add_effects_not_gradients_of_different_units():

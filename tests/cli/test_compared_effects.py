@@ -135,6 +135,21 @@ def test_a_light_that_is_off_in_both_designs_is_counted_only() -> None:
     assert rows_of(text_of(moved, switched))[0].startswith("lamp")
 
 
+def test_a_light_that_is_switched_off_has_no_effect_there() -> None:
+    on = with_ranges(results.make())
+    off = dataclasses.replace(on, info={**on.info, "lights_off": ["lamp"]})
+    on, off = with_values(on, lamp=[1.0] * 3), with_values(off, lamp=[0.0] * 3)
+    (lamp,) = [one for one in _compared_effects.compared_effects(on, off) if one.name == "lamp"]
+    assert (lamp.before, lamp.after) == (on.effects()["lamp"], 0)
+    assert lamp.change == pytest.approx(-lamp.before)
+    text = text_of(on, off)
+    assert rows_of(text)[0].startswith("lamp")
+    joined = " ".join(" ".join(text).split())
+    assert "The effects of lamp are over different ranges, each that of its own result" in joined
+    assert "switching it on" not in joined
+    assert "lights that are off" not in joined
+
+
 def test_the_error_of_a_change_over_different_ranges_is_that_of_common_random_numbers() -> None:
     """Half a lamp has half the effect in each replicate, so the error of the change is half of the effect's."""
     lamp = "light.emitter.radiance.value"

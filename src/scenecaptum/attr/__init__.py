@@ -30,6 +30,7 @@ from ._baselines import resolve_baselines as resolve_baselines
 from ._baselines import table_of as table_of
 from ._data import Ranked as Ranked
 from ._data import summarize as summarize
+from ._difference import lights_switched as lights_switched
 from ._difference import with_different_ranges as with_different_ranges
 from ._explanation import Explanation as Explanation
 from ._feature_ablation import FeatureAblationScene as FeatureAblationScene

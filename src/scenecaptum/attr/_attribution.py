@@ -345,8 +345,8 @@ def make_attribution(
             "jumps": steps.jumps,
             "local": local,
             "unit_ranges": unit_ranges(renderer, values),
-            # Only a linear metric grows with a light as its derivative at 0 says.
-            "lights_off": [] if adjoints.bias_adjoint is None else lights_off(renderer, values),
+            "lights_off": lights_off(renderer, values),
+            "linear_in_light": adjoints.bias_adjoint is None,
             "kept_directions": steps.kept_directions,
             "left_out_directions": steps.left_out_directions,
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},

@@ -273,10 +273,15 @@ class AttributionData(Mapping[str, torch.Tensor]):
         To first order, the effect of switching such a light on may be far off, even in its sign. So it ranks after
         the others, and bars and maps leave it out. Per unit (``scale="unit"``) there are none.
         """
+        # Only a linear metric grows with a light as its derivative at 0 says.
+        off = frozenset() if self.info.get("linear_in_light") else self.lights_off(scale)
+        return off if len(off) < len(self) else frozenset()
+
+    def lights_off(self, scale: Scale | None = None) -> frozenset[str]:
+        """Return the lights that are off, whose effects are those of switching them on; per unit none."""
         if self.kind.in_scale(self.scale_or_default(scale)) is not ResultKind.EFFECT:
             return frozenset()
-        off = frozenset(self.info.get("lights_off", ())).intersection(self)
-        return off if len(off) < len(self) else frozenset()
+        return frozenset(self.info.get("lights_off", ())).intersection(self)
 
     def _total_error(self, name: str) -> tuple[float, ...] | None:
         if self.covariance is None:

@@ -60,7 +60,7 @@ def subtract(a: A, b: A) -> A:
     """Return ``a - b`` for attributions to the same parameters.
 
     Where the range of a parameter differs, as that of a lamp that was dimmed, the difference is that of its
-    effects, over the range that it has in each.
+    effects, over the range that it has in each: a lamp that is off in one of them has no effect there.
     """
     ranged = with_different_ranges(a, b)
     a, b = _over_own_ranges(a, ranged), _over_own_ranges(b, ranged)
@@ -94,21 +94,29 @@ def subtract(a: A, b: A) -> A:
 
 
 def with_different_ranges(a: AttributionData, b: AttributionData) -> list[str]:
-    """Return the parameters of two results whose gradients are per unit and whose ranges differ."""
+    """Return the parameters whose ranges differ in two results: also lights that are off in one of them."""
+    switched = lights_switched(a, b)
     if not (a.kind.is_gradient_per_unit and b.kind.is_gradient_per_unit):
-        return []
+        return [name for name in a if name in switched]
     return [
         name
         for name, length in a.extents.items()
-        if name in a and name in b.extents and not torch.equal(length, b.extents[name])
+        if name in a and name in b.extents and (name in switched or not torch.equal(length, b.extents[name]))
     ]
+
+
+def lights_switched(a: AttributionData, b: AttributionData) -> frozenset[str]:
+    """Return the lights, and groups of them, that are off in one of two results and on in the other."""
+    return (a.lights_off() ^ b.lights_off()) & frozenset(a) & frozenset(b)
 
 
 def _over_own_ranges(one: A, names: Sequence[str]) -> A:
     """Return a result in which some parameters are per range, and no longer per unit."""
     if not names:
         return one
-    ranges = {name: one.extents[name] for name in names}
+    off = one.lights_off()
+    lengths = {name: one.extents.get(name, torch.ones(1)) for name in names}
+    ranges = {name: torch.zeros_like(length) if name in off else length for name, length in lengths.items()}
 
     def per_range(tensors: Tensors) -> dict[str, torch.Tensor]:
         scaled = {
@@ -130,7 +138,7 @@ def _over_own_ranges(one: A, names: Sequence[str]) -> A:
         bias=one.bias and per_range(one.bias),
         replicates=one.replicates and per_range(one.replicates),
         covariance=one.covariance and covariance_per_range(one.covariance),
-        extents={**one.extents, **{name: torch.ones_like(length) for name, length in ranges.items()}},
+        extents={name: torch.ones_like(e) if name in ranges else e for name, e in one.extents.items()},
         info={**one.info, "own_ranges": [*one.info.get("own_ranges", ()), *names]},
     )
 
@@ -141,8 +149,9 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info |= {**_described(_difference(a, b), [a, b]), "minus": dict(b.info), "verdict": ""}
     info["sampled"] = [list(one) for one in dict.fromkeys(_sampled(a) + _sampled(b))]
     info |= _without_derivative(a.info, b.info)
-    off = [*a.info.get("lights_off", ()), *b.info.get("lights_off", ())]
-    info["lights_off"] = list(dict.fromkeys(off))
+    off = b.info.get("lights_off", ())
+    info["lights_off"] = [name for name in a.info.get("lights_off", ()) if name in off]
+    info["linear_in_light"] = all(side.info.get("linear_in_light") for side in (a, b))
     own = [*a.info.get("own_ranges", ()), *b.info.get("own_ranges", ())]
     info["own_ranges"] = list(dict.fromkeys(own))
     if not have_same_baselines(a.info, b.info):

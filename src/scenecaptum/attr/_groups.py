@@ -156,11 +156,11 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     """Return the sum of each group's effects, 0-d by group, with standard errors from the replicates.
 
     Gradients are summed over the ranges of the members where these are known: they have no common unit. A light
-    that is off (``ranked_last``) is left out of a group that has others.
+    that is off is left out of a group that has others.
     """
     kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), dict(attribution.weights())
     jumps = attribution.info.get("jumps", {})
-    off = attribution.ranked_last()
+    off = attribution.lights_off()
     of_lights_off = {group for group, names in members.items() if {*names} - {*jumps} <= off}
     off -= {name for group in of_lights_off for name in members[group]}
     factors |= {name: 0 * factors[name] for name in {*jumps, *off}}

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 
-from ..attr import SceneAttribution, with_different_ranges
+from ..attr import SceneAttribution, lights_switched, with_different_ranges
 from ..report import Table, different_values
 from ..visualization import (
     Format,
@@ -73,9 +73,13 @@ class ComparedEffect(NamedTuple):
 
 
 def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[ComparedEffect]:
-    """Return the effects of the parameters that both results have, each over its own range, the largest first."""
+    """Return the effects of the parameters that both results have, each over its own range, the largest first.
+
+    A light that is off in one of the results has no effect there.
+    """
     before, after = _of_common_parameters(before, after)
     own, others = ({row.name: row for row in one.ranking()} for one in (before, after))
+    dark = [lights_switched(before, after) & one.lights_off() for one in (before, after)]
     found = []
     for changed in (after - before).ranking():
         name, change, error = changed.name, changed.effect, changed.effect_error
@@ -86,7 +90,10 @@ def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[
             # Each effect is in a direction of its own.
             change, errors = second.effect - first.effect, (first.effect_error, second.effect_error)
             error = None if None in errors else math.hypot(*(one or 0.0 for one in errors))
-        found.append(ComparedEffect(name, second.label, first.effect, second.effect, change, error))
+        old, new = (
+            0.0 if name in off else row.effect for row, off in zip((first, second), dark, strict=True)
+        )
+        found.append(ComparedEffect(name, second.label, old, new, change, error))
     return sorted(found, key=lambda one: -one.size)
 
 
@@ -97,6 +104,7 @@ def effect_table(
     found = compared_effects(before, after)
     if not found:
         return None
+    before, after = _without_switched(before, after)
     moved = different_values(before, after)
     # To first order, the effect of a light that is off in both may be far off: it tells nothing of the designs.
     off = (before.ranked_last() | after.ranked_last()) - {*moved}
@@ -285,6 +293,18 @@ def _named(one: SceneAttribution, names: Sequence[str]) -> str:
 
 def _is(names: Sequence[str]) -> str:
     return "is" if len(names) == 1 else "are"
+
+
+def _without_switched(
+    before: SceneAttribution, after: SceneAttribution
+) -> tuple[SceneAttribution, SceneAttribution]:
+    """Return both results without their notes on the lights that were switched: what these contribute is shown."""
+    switched = lights_switched(before, after)
+    first, second = (
+        dataclasses.replace(one, info={**one.info, "lights_off": sorted(one.lights_off() - switched)})
+        for one in (before, after)
+    )
+    return first, second
 
 
 def _of_common_parameters(

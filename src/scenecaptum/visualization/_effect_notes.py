@@ -91,7 +91,7 @@ def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
 
 
 def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[str]) -> dict[str, list[str]]:
-    """Return a note on lights that are off, under a metric that is not linear in the image."""
+    """Return a note on lights that are off: on their effects, unless the metric is linear, and on their groups."""
     rendered = range_marked(_contradicted_notes(attribution, shown))
     off = [
         name
@@ -99,9 +99,16 @@ def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[
         if (name in shown or name not in attribution) and name not in rendered
     ]
     last = attribution.ranked_last(scale)
+    of_groups = [name for name in off if name not in attribution]
+    if attribution.info.get("linear_in_light"):
+        return (
+            {f"{_named(attribution, of_groups)}: off, so left out of its group": of_groups}
+            if of_groups
+            else {}
+        )
     cases = {
         ", so it ranks last, without a bar or a colour": [name for name in off if name in last],
-        ", so it is left out of its group": [name for name in off if name not in attribution],
+        ", so it is left out of its group": of_groups,
         "": [name for name in off if name in attribution and name not in last],
     }
     reason = (
