@@ -588,6 +588,24 @@ def test_a_material_of_several_shapes_is_a_group_named_by_it(mi):
         assert str(result).count(note) == count, groups
 
 
+def test_the_material_of_one_shape_names_it_unless_the_shape_has_that_name(mi):
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.4}}
+    room = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}},
+        "sky": {"type": "constant"},
+        "Floor": paint,
+        "table": paint,
+        "Mesh056": {"type": "sphere", "center": [0, 0, 4], "bsdf": {"type": "ref", "id": "Floor"}},
+        "table_top": {"type": "sphere", "center": [1, 0, 4], "bsdf": {"type": "ref", "id": "table"}},
+    }
+    renderer = SceneRenderer(room, inputs="reflectance")
+    assert resolve_groups(renderer, renderer.inputs, "object") == {
+        "Floor (Mesh056)": ("Floor.reflectance.value",),
+        "table_top": ("table.reflectance.value",),
+    }
+
+
 BAD_BASELINES = {
     "unknown preset": ("drak", r"not a preset.*'dark'"),
     "unknown name": ({"lihgt": 0.0}, "'lihgt', which matches none"),

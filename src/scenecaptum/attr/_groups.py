@@ -45,7 +45,7 @@ def resolve_groups(
         - ``"material"``: by the materials, emitters or media that own the parameter.
         - ``"object"``: by the set of objects that use the parameter. A parameter that no object uses is grouped
           with its owner. A material that several objects share is a group of its own: its name, with these
-          objects in parentheses.
+          objects in parentheses. So is one that a single object has, under another name: ``Floor (Mesh056)``.
         - A mapping from a group's name to the names or globs of its members. Other parameters stay separate.
 
     Raises
@@ -127,8 +127,10 @@ def _by_object(
 
     def named(group: str, members: tuple[str, ...]) -> str:
         owners = {table[name].owners for name in members}
-        is_shared = len(owners) == 1 and len(objects_using.get(members[0], ())) > 1
-        return f"{', '.join(owners.pop())} ({group})" if is_shared else group
+        owner = ", ".join(owners.pop()) if len(owners) == 1 else group
+        # The group of desk_top alone needs no "desk", but what is Mesh056?
+        is_named = owner in group and len(objects_using.get(members[0], ())) == 1
+        return group if is_named else f"{owner} ({group})"
 
     return {named(group, members): members for group, members in grouped.items()}
 
