@@ -304,6 +304,11 @@ def test_maps_say_what_a_texel_shows_and_a_given_maximum_has_its_unit() -> None:
     assert f"floor: magnitude of the {change} 0.5 cd/m²" in text
     signed = all_text(plot_heatmap(textured, signed=True)).replace("\n", " ")
     assert change in signed
+    noisy = {name: 1e6 * value for name, value in textured.covariance.items()}
+    only = dataclasses.replace(textured, attributions={"floor": textured["floor"]}, covariance=noisy)
+    for texels, noise in ((True, "the sum over the texels of floor"), (False, "the largest effect")):
+        title = all_text(plot_overlay(only, texels=texels)).replace("\n", " ")
+        assert f"{noise} is within the noise" in title, title
     assert "magnitude" not in signed
     assert "each texel: effect of a whole texture that acts like it" in text
     assert "each texel" not in all_text(plot_heatmap(textured, parameter="floor"))

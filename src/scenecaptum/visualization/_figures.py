@@ -115,9 +115,14 @@ def characters_per_line(inches: float, size: float) -> int:
     return max(int(inches * 72 / (_CHARACTER_WIDTH * size)), 12)
 
 
-def figure_title(attribution: Attribution, width: int, scale: Scale | None = None) -> str:
-    """Return the finding, and below it the metric's value, in lines of at most ``width`` characters."""
-    lines = (finding(attribution, scale), value_line(attribution))
+def figure_title(
+    attribution: Attribution, width: int, scale: Scale | None = None, *, texels: bool = False
+) -> str:
+    """Return the finding, and below it the metric's value, in lines of at most ``width`` characters.
+
+    ``texels`` is whether the figure shows single texels.
+    """
+    lines = (finding(attribution, scale, texels=texels), value_line(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, width))
 
 

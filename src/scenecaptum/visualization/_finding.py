@@ -13,8 +13,16 @@ from ._layout import first_few
 from ._numbers import shorten
 from ._text import FINDING_WIDTH, metric_name
 
+_TEXTURE_NDIM = 3
 
-def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str | None = None) -> str:
+
+def finding(
+    attribution: Attribution,
+    scale: Scale | None = None,
+    *,
+    metric: str | None = None,
+    texels: bool = False,
+) -> str:
     """Return ``'UGR depends most on sky: radiance'``, or the first two if the errors do not tell them apart.
 
     Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
@@ -22,7 +30,8 @@ def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str
     If the third may be the first as well, "and others" follows. It names only effects that are clear of
     their noise, and says so if the largest is not, or if one within its noise may be larger. Where nothing has an
     effect it names the poses that have no derivative. It names no effect
-    with a note (``~``), which may be overstated. ``metric`` is by default its name.
+    with a note (``~``), which may be overstated. ``metric`` is by default its name. A picture of single ``texels``
+    may show clear ones whose sum is not.
     """
     metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     most, none = _findings(attribution, metric)
@@ -33,7 +42,9 @@ def finding(attribution: Attribution, scale: Scale | None = None, *, metric: str
         named = first_few(shorten(jumps, FINDING_WIDTH), ", ")
         return f"{metric}: no derivative with respect to {named}" if jumps else none
     if ranking[0].saliency and not _is_clear(ranking[0], allowed):
-        return f"{metric}: the largest effect is within the noise"
+        is_sum = texels and attribution[ranking[0].name].ndim == _TEXTURE_NDIM
+        largest = f"sum over the texels of {ranking[0].label}" if is_sum else "largest effect"
+        return f"{metric}: the {largest} is within the noise"
     unmarked = [row for row in ranking if row.name not in noted]
     if not unmarked or not _is_clear(unmarked[0], allowed):
         return f"{metric}: see the notes on the effects marked ~"

@@ -322,7 +322,8 @@ def _panels(
     w = _width(None, heat, count, limits)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
-    title = figure_title(attribution, characters_per_line(width - 0.2, TITLE), scale)
+    texels = bool(options.get("texels"))
+    title = figure_title(attribution, characters_per_line(width - 0.2, TITLE), scale, texels=texels)
     pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
     notes = [
         _invisible_note(attribution, scale),
