@@ -100,6 +100,17 @@ def test_large_errors_come_with_the_advice_of_the_metric():
         assert ("ask in another way" in str(found)) is is_told
 
 
+@pytest.mark.parametrize("is_smoothed", [False, True])
+def test_a_metric_that_is_smoothed_is_not_told_to_be(is_smoothed: bool) -> None:
+    def own(image: torch.Tensor) -> torch.Tensor:
+        return squares(image)
+
+    metric = metrics.Smoothed(own, n=16) if is_smoothed else own
+    found = VanillaSceneGradient(ReplayingToyRenderer(5.0), metric).attribute(seed=shifted(0), spp=16)
+    assert "the errors are large: use more samples" in str(found)
+    assert ("metrics.Smoothed" in str(found)) is not is_smoothed
+
+
 @pytest.mark.parametrize(
     "create",
     [

@@ -22,8 +22,9 @@ Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
 Target: TypeAlias = "int | str | tuple[int, ...] | None"  # a str is the name of a class
 Draws: TypeAlias = Mapping[int, int]  # the number of draws of each seed
 # Against large errors, for a metric that does not say itself what it measures.
+MORE_SAMPLES = "use more samples"
 OWN_ADVICE = (
-    "use more samples; if the metric contains a network, metrics.Smoothed(metric, sigma=0.3) has a gradient with "
+    f"{MORE_SAMPLES}; if the metric contains a network, metrics.Smoothed(metric, sigma=0.3) has a gradient with "
     "smaller errors"
 )
 
@@ -161,8 +162,14 @@ class TargetedMetric:
             "relaxed": relaxed is not None and bool(relaxed(self.transform(image.detach()))),
             "verdict": self.verdict(value, image),
             "gradient_note": getattr(self.metric, "gradient_note", None),
-            "advice": getattr(self.metric, "advice", OWN_ADVICE if self.measure is None else None),
+            "advice": getattr(self.metric, "advice", self._own_advice()),
         }
+
+    def _own_advice(self) -> str | None:
+        """Return what helps against large errors, for a metric that says neither this nor what it measures."""
+        if self.measure is not None:
+            return None
+        return MORE_SAMPLES if self.is_smoothed else OWN_ADVICE
 
     @property
     def n_draws(self) -> int:
