@@ -14,7 +14,7 @@ _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 # Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
 _LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
-_MAP_NDIM = 3
+TEXTURE_NDIM = 3
 RENDER = "render the change"
 _NOTABLE = 0.1  # of the largest effect
 
@@ -78,7 +78,7 @@ def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
     labels, notes = attribution.labels, {}
     for name in shown:
         scale = f"{name.rpartition('.')[0]}.scale"
-        if attribution[name].ndim == _MAP_NDIM and scale in attribution:
+        if attribution[name].ndim == TEXTURE_NDIM and scale in attribution:
             of_light = f"{labels.get(scale, scale)}: for all of its light"
             notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]
     return notes

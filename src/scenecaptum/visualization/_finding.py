@@ -8,12 +8,10 @@ from functools import partial
 
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
-from ._effect_notes import range_marked, range_notes
+from ._effect_notes import TEXTURE_NDIM, range_marked, range_notes
 from ._layout import first_few
 from ._numbers import shorten
 from ._text import FINDING_WIDTH, metric_name
-
-_TEXTURE_NDIM = 3
 
 
 def finding(
@@ -42,7 +40,7 @@ def finding(
         named = first_few(shorten(jumps, FINDING_WIDTH), ", ")
         return f"{metric}: no derivative with respect to {named}" if jumps else none
     if ranking[0].saliency and not _is_clear(ranking[0], allowed):
-        is_sum = texels and attribution[ranking[0].name].ndim == _TEXTURE_NDIM
+        is_sum = texels and attribution[ranking[0].name].ndim == TEXTURE_NDIM
         largest = f"sum over the texels of {ranking[0].label}" if is_sum else "largest effect"
         return f"{metric}: the {largest} is within the noise"
     unmarked = [row for row in ranking if row.name not in noted]
