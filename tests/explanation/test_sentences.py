@@ -387,6 +387,24 @@ def test_only_an_effect_that_is_larger_by_its_value_is_called_the_largest_one():
     )
 
 
+def test_an_effect_whose_error_is_unreliable_is_not_called_clear_in_sign():
+    inputs = {"pane": (110.0, 20.0), "ground": (54.0, 20.0), "cloth": (-28.0, 9.0), "wall": (5.0, 8.0)}
+    found = with_errors(inputs)
+    counts = {**dict.fromkeys(inputs, 1000), "ground": 3}
+    few = dataclasses.replace(found, info={**found.info, "effective_samples": counts})
+    *_, both = lines(Explanation(found))["Too noisy to say"]
+    *_, trusted = lines(Explanation(few))["Too noisy to say"]
+    assert both == "how the others rank; clear in sign: ground (+54 ± 20), cloth (−28 ± 9)"
+    assert trusted == "how the others rank; clear in sign: cloth (−28 ± 9)"
+
+
+def test_the_effect_of_a_pose_is_above_the_noise_and_has_no_sign():
+    """It is the largest in any direction."""
+    inputs = {"pane": (110.0, 20.0), "table.pose.rotation": (54.0, 20.0), "cloth": (-28.0, 9.0)}
+    *_, ranks = lines(Explanation(with_errors(inputs)))["Too noisy to say"]
+    assert ranks == "how the others rank; above the noise: table.pose.rotation (+54 ± 20), cloth (−28 ± 9)"
+
+
 def test_an_effect_that_a_render_confirms_is_no_noise():
     found = with_errors({"wall": (-3.0, 1.4), "lamp": (0.1, 0.01)})
 

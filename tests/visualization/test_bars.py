@@ -25,6 +25,7 @@ from scenecaptum.visualization import (
     plot_overlay,
     plot_specificity,
 )
+from scenecaptum.visualization._finding import finding
 
 
 def whiskers(axes: Any) -> list[float]:
@@ -150,6 +151,15 @@ def test_no_title_names_an_effect_that_is_overstated(draw: Any) -> None:
     smaller = " ".join(all_text(draw(overstated(METAL, ("desk.reflectance", 4.0, 0.5)))).split())
     assert "Glare depends most on desk.reflectance" in smaller
     assert "aside" not in smaller
+
+
+def test_a_clear_effect_with_a_mark_is_not_called_uncertain() -> None:
+    """The largest is clear, though overstated; of the others one in the noise may be the largest."""
+    result = overstated(METAL, ("desk.reflectance", 1.0, 0.5), ("wall.reflectance", 0.8, 0.5))
+    covariance = {**result.covariance, "wall.reflectance": torch.tensor([[2.0**2]])}
+    said = finding(dataclasses.replace(result, covariance=covariance))
+    aside = "effects marked ~ aside, the largest is uncertain"
+    assert said == f"Glare: {aside}; the error of wall.reflectance is too large"
 
 
 @pytest.mark.parametrize("draw", [plot_heatmap, plot_overlay])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
@@ -108,8 +108,7 @@ class EffectSentences:
             for reason, whose in untrusted_groups(self.attribution).items()
             if {*whose} & {*names}
         }
-        # No marks if all would have one.
-        partial = [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
+        partial = self._partial(doubts)
         cautions = caution_groups(self.attribution, names)
         wrong = caution_marks(cautions)
         marks = {name: wrong[reason] for reason, whose in cautions.items() for name in whose}
@@ -124,6 +123,10 @@ class EffectSentences:
             *(prefixed("~ ", note) for note in notes),
         ]
         return marks, legend
+
+    def _partial(self, doubts: Mapping[str, Sequence[str]]) -> list[Sequence[str]]:
+        """Return whom each doubt is about, unless it is about all parameters: then none has a mark."""
+        return [whose for whose in doubts.values() if len(whose) < len(self.attribution)]
 
     def _larger_lines(
         self, unclear: Sequence[RankedParameter], largest: float
@@ -195,12 +198,19 @@ class EffectSentences:
         return [*lines, *self._lines_on_signs([row for row in unclear if row not in named], len(clear))]
 
     def _lines_on_signs(self, rows: Sequence[RankedParameter], count: int) -> list[str]:
-        """Name the effects that are not stated although their signs are clear in the table."""
+        """Name the effects that are not stated although their signs are clear in the table.
+
+        Not those whose error is itself unreliable: how many errors they are from 0 says little.
+        """
         errors = clear_from(self.attribution.info)
-        seen = [self._named(row) for row in rows if _exceeds(row, errors)]
+        doubted = {name for whose in self._partial(untrusted_groups(self.attribution)) for name in whose}
+        clear_rows = [row for row in rows if _exceeds(row, errors) and row.name not in doubted]
+        seen = [self._named(row) for row in clear_rows]
         if not seen or count >= self.count:
             return []
-        clear = "clear in sign" if self.attribution.kind.has_sign else "above the noise"
+        # That of a pose is its largest effect in any direction, which has no sign.
+        has_sign = self.attribution.kind.has_sign and not any(pose_component(row.name) for row in clear_rows)
+        clear = "clear in sign" if has_sign else "above the noise"
         more = f" and {pluralize(len(seen) - MOST_NAMED, 'other')}" if len(seen) > MOST_NAMED else ""
         return [f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"]
 

@@ -51,7 +51,10 @@ def finding(
         row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
     ]
     if noisy:
-        return f"{metric}: the largest effect is uncertain; {_too_large(noisy, allowed)}"
+        largest = "the largest effect is uncertain"
+        if first is not ranking[0]:
+            largest = "effects marked ~ aside, the largest is uncertain"
+        return f"{metric}: {largest}; {_too_large(noisy, allowed)}"
     tied = [row for row in others if not _are_apart(first, row, allowed)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
