@@ -25,8 +25,8 @@ from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
 from scenecaptum.report import Comparison, write_report
-from scenecaptum.report._pixels import LAYERS, encode_surfaces
-from scenecaptum.visualization import Arrow, plot_heatmap
+from scenecaptum.report._pixels import LAYERS, encode_picture, encode_surfaces
+from scenecaptum.visualization import Arrow, automatic_exposure, plot_heatmap, shown_render
 
 # ------------------------------------------------------------------------------------------ what is written
 
@@ -39,6 +39,17 @@ def test_the_same_results_give_the_same_file_with_shared_pictures_once(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.html", "two.html"]
     data = data_of(tmp_path / "one.html")
     assert [len(data[key]) for key in ("results", "views", "pictures")] == [2, 1, 1]
+
+
+def test_the_picture_is_denoised_for_the_eye_unless_off(tmp_path):
+    result = make()
+    for denoised in (True, False):
+        write_report(result, tmp_path / "report.html", denoised=denoised)
+        data = data_of(tmp_path / "report.html")
+        image = shown_render(result, denoised=denoised)
+        assert data["pictures"] == [encode_picture(image, automatic_exposure(image))]
+        assert [one["isDenoised"] for one in data["results"]] == [denoised]
+    assert not torch.equal(shown_render(result, denoised=True), shown_render(result))
 
 
 def test_pictures_of_different_cameras_are_kept_apart(tmp_path):

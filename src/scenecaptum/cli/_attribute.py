@@ -115,7 +115,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=DENOISE,
         default="auto",
         help="denoise the image for a non-linear metric, such as a glare rating; auto: if that reduces the "
-        "measured error (default: %(default)s); the picture beside the map is denoised unless off",
+        "measured error (default: %(default)s); the pictures are denoised unless off",
     )
     parser.add_argument(
         "--picture-spp",
@@ -318,6 +318,6 @@ def _write_report(finished: Sequence[Finished], options: argparse.Namespace, ren
     shown: list[SceneAttribution | Explanation] = []
     for one in finished:
         shown.append(_explained(one, renderer, premises(one.metric, options)) or one.attribution)
-    write_report(shown, path, title=options.title, plans=plans)
+    write_report(shown, path, title=options.title, plans=plans, denoised=options.denoise != "off")
     if not options.json:
         print(f"{path}  interactive page with all results")

@@ -39,6 +39,7 @@ from ..visualization import (
     metric_symbol,
     metric_unit,
     noise_notes,
+    pose_notes,
     range_notes,
     rounded,
     sampling_notes,
@@ -46,6 +47,7 @@ from ..visualization import (
     shown_render,
     sign_labels,
     signed_with_error,
+    unit_notes,
     unit_of_change,
     untrusted_groups,
     verdict,
@@ -111,6 +113,8 @@ def report_data(
     explanations: Sequence[Explanation | None],
     plans: Sequence[Figure | None],
     comparison: Comparison | None,
+    *,
+    denoised: bool,
 ) -> dict[str, Any]:
     """Return the data of the page; views and images that results share are stored once."""
     shared: dict[str, list[Any]] = {"views": [], "pictures": []}
@@ -120,14 +124,19 @@ def report_data(
     results = []
     for attribution, title, explanation, plan in zip(attributions, titles, explanations, plans, strict=True):
         camera = None if comparison is not None else repr(attribution.info.get("sensor"))
-        encoded, surfaces = _picture(attribution, plan, exposures, camera)
+        encoded, surfaces = _picture(attribution, plan, exposures, camera, denoised=denoised)
         if id(surfaces) not in views:
             view, shown = _view(surfaces)
             views[id(surfaces)] = _index_in(shared["views"], view), shown
         index, shown = views[id(surfaces)]
         picture = _index_in(shared["pictures"], encoded)
         results.append(
-            {"view": index, "picture": picture, **_result(attribution, title, surfaces, shown, explanation)}
+            {
+                "view": index,
+                "picture": picture,
+                "isDenoised": denoised and plan is None,
+                **_result(attribution, title, surfaces, shown, explanation),
+            }
         )
     compared = None
     if comparison is not None:
@@ -183,14 +192,19 @@ def describe_objects(
 
 
 def _picture(
-    attribution: Attribution, plan: Figure | None, exposures: dict[Any, float], camera: str | None
+    attribution: Attribution,
+    plan: Figure | None,
+    exposures: dict[Any, float],
+    camera: str | None,
+    *,
+    denoised: bool,
 ) -> tuple[str, SurfaceMap]:
     """Return the encoded picture and what its pixels show, which is nothing if it is a plan."""
     if plan is not None:
         encoded, shape = encode_figure(plan, PLAN_DPI)
         return encoded, _nothing(shape)
     assert attribution.surfaces is not None, "write_report checks it"
-    image = shown_render(attribution)
+    image = shown_render(attribution, denoised=denoised)
     exposure = exposures.setdefault(camera, automatic_exposure(image))
     return encode_picture(image, exposure), attribution.surfaces
 
@@ -256,6 +270,7 @@ def _result(
         "sampling": findings(sampling_notes(attribution)),
         "convergence": findings([*convergence_notes(attribution), *baseline_notes(attribution)]),
         "groupNotes": group_notes(attribution, attribution),
+        "rowNotes": [*unit_notes(attribution, ranking), *pose_notes(attribution, ranking)],
         "cautions": list(cautions),
         "rangeNotes": findings(of_range),
         "jumps": jump_notes(attribution),

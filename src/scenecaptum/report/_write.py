@@ -56,6 +56,7 @@ def write_report(
     plans: Sequence[Figure | None] | None = None,
     comparison: Comparison | None = None,
     sections: Sequence[Section] = (),
+    denoised: bool = True,
 ) -> None:
     """Write results as one self-contained HTML file to explore in a browser; it needs no network.
 
@@ -84,6 +85,9 @@ def write_report(
         the parameters that differ.
     sections
         Further parts of the page, such as ``explore.section``.
+    denoised
+        Show the renders denoised, for the eye; False shows those as they are on which the metric was evaluated.
+        Numbers do not depend on it.
 
     Raises
     ------
@@ -97,7 +101,7 @@ def write_report(
     drawn = [None] * len(results) if plans is None else list(plans)
     check(results, titles, drawn, comparison)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    data = {"title": title, **report_data(results, names, explanations, drawn, comparison)}
+    data = {"title": title, **report_data(results, names, explanations, drawn, comparison, denoised=denoised)}
     _write(path, _page(data, sections))
 
 

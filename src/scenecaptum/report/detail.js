@@ -106,12 +106,13 @@ function drawExplanation(result) {
   byId("explanation").replaceChildren(...parts);
 }
 
-const FACTS = ["scene", "method", "metric", "seed", "spp", "replicates", "resolution", "sensor grid", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
+const FACTS = ["scene", "method", "metric", "seed", "spp", "replicates", "resolution", "render_shown", "sensor grid", "sensor", "max_depth", "integrator", "variant", "seconds", "versions"];
 
 function drawFacts(result) {
   // The seed is the one that was given, where it was split for the parts of an explanation.
   const metric = result.metric === result.info.metric ? result.metric : `${result.metric} (${result.info.metric})`;
   const info = { ...result.info, metric, seed: result.info.explanation_seed ?? result.info.seed };
+  if (result.isDenoised) info.render_shown = "denoised";
   // Of a sensor grid, the command line says more than the number of rows and columns.
   const isPlan = views[result.view].names.length === 0;
   if (isPlan && info["sensor grid"] !== undefined) delete info.resolution;

@@ -105,9 +105,10 @@ function channelsOf(row) {
   return row.total.map((value) => make("span", {}, written(value)));
 }
 
-/** A bar as long as the saliency, with a whisker of one standard error to either side. */
+/** A bar as long as the saliency, with a whisker of one standard error to either side; the longest fits. */
 function drawBar(row, result) {
-  const top = result.rows[0].saliency || 1;
+  const drawn = result.rows.filter((one) => one.saliency && !one.isLast);
+  const top = Math.max(...drawn.map((one) => one.saliency + (one.error ?? 0))) || 1;
   const percent = (value) => `${100 * Math.max(0, Math.min(1, value / top))}%`;
   const bar = make("span", { class: `bar ${SIGNS[row.sign][1]}` });
   const whisker = make("span", { class: "whisker" });
@@ -151,7 +152,7 @@ function cautionsOf({ sampling, premises }) {
 
 function drawNotes(result) {
   const notes = [make("p", {}, `${result.ranked}: ${result.axis}`)];
-  notes.push(...result.groupNotes.map((text) => make("p", {}, text)));
+  notes.push(...[...result.groupNotes, ...result.rowNotes].map((text) => make("p", {}, text)));
   notes.push(...result.cautions.map((text, index) => {
     const count = result.rows.filter((row) => row.caution === index).length;
     return make("p", {}, make("span", { class: "mark caution" }, cautionMark(index, result)), ` ${text} (${counted(count, "parameter")})`);

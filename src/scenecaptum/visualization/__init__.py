@@ -70,6 +70,7 @@ from ._notes import jump_notes as jump_notes
 from ._notes import kept_channels as kept_channels
 from ._notes import marked_doubts as marked_doubts
 from ._notes import noise_notes as noise_notes
+from ._notes import pose_notes as pose_notes
 from ._notes import sampling_notes as sampling_notes
 from ._notes import scene_cautions as scene_cautions
 from ._notes import unit_notes as unit_notes

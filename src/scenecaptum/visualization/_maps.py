@@ -227,15 +227,17 @@ def diverging() -> Colormap:
     return LinearSegmentedColormap.from_list("scenecaptum_signed", colors)
 
 
-def shown_render(attribution: Attribution) -> torch.Tensor:
+def shown_render(attribution: Attribution, *, denoised: bool = False) -> torch.Tensor:
     """Return the linear render that figures show: denoised, if the metric was evaluated on a denoised image.
+
+    ``denoised`` returns it denoised in any case.
 
     Raises
     ------
     SceneCaptumError
         If the attribution has no image.
     """
-    return _render(attribution, denoised=_is_denoised(attribution))
+    return _render(attribution, denoised=denoised or _is_denoised(attribution))
 
 
 def _render(attribution: Attribution, *, denoised: bool) -> torch.Tensor:

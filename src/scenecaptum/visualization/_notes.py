@@ -97,6 +97,17 @@ def unit_notes(
     return [*notes, "per unit: compare parameters of one kind only"]
 
 
+def pose_notes(attribution: Attribution, rows: Sequence[RankedParameter]) -> list[str]:
+    """Return a note on what the effects of translations and rotations among the rows are."""
+    vectors = attribution.info.get("vectors") or ()
+    of_poses = [row for row in rows if row.name in vectors]
+    if not of_poses:
+        return []
+    in_noise = any(row.effect == 0 and row.effect_error for row in of_poses)
+    zero = "; 0: not above the noise" if in_noise else ""
+    return [f"of a translation or rotation in the direction with the largest effect{zero}"]
+
+
 def jump_notes(attribution: Attribution, among: Collection[str] | None = None) -> list[str]:
     """Return a note on each pose that has no derivative and is not ranked, or not in some directions.
 

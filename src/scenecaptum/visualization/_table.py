@@ -21,6 +21,7 @@ from ._notes import (
     jump_notes,
     kept_channels,
     marked_doubts,
+    pose_notes,
     sampling_notes,
     scene_cautions,
     unit_notes,
@@ -169,12 +170,7 @@ def _table(
             f"… and {_rest(ranking[len(shown) :], attribution.ranked_last(scale))}; {complete} lists all"
         )
     notes += group_notes(attribution, with_rows)
-    if any(row.name in vectors for row in shown):
-        in_noise = any(row.name in vectors and row.effect == 0 and row.effect_error for row in shown)
-        notes.append(
-            "of a translation or rotation in the direction with the largest effect"
-            + ("; 0: not above the noise" if in_noise else "")
-        )
+    notes += pose_notes(attribution, shown)
     if textures:
         is_occlusion = attribution.kind is ResultKind.OCCLUSION
         notes.append(
