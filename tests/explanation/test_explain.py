@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
@@ -14,6 +15,7 @@ from scenecaptum import Camera, SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.attr import Explanation
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
+from scenecaptum.explanation._changes import why_none
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import plot_bars, table_text
 
@@ -60,11 +62,23 @@ def test_an_explanation_says_why_no_change_is_proposed():
     def constant(image: torch.Tensor) -> torch.Tensor:
         return 0 * image.sum()
 
-    reason = "no change is proposed: no single one has a predicted effect that is clear of its noise"
+    reason = "no change is proposed: every predicted effect is 0"
     found = explain(renderer, constant, changes=1, seed=shifted())
     assert reason in " ".join(found.text().split())
     assert reason in found.markdown()
     assert "no change" not in explain(renderer, constant, changes=0, seed=shifted()).text()
+    covariance = {name: matrix + 1.0 for name, matrix in found.attribution.covariance.items()}
+    noisy = why_none(dataclasses.replace(found.attribution, covariance=covariance))
+    assert noisy == "no change is proposed: no single one has a predicted effect that is clear of its noise"
+
+
+def test_no_change_is_proposed_where_nothing_counts_as_a_glare_source():
+    renderer = SceneRenderer("cornell-box", "all", resolution=(8, 8), spp=8, max_depth=2)
+    dim = metrics.UnifiedGlareRating(renderer.camera, threshold=1e9)
+    text = " ".join(explain(renderer, dim, changes=2, seed=shifted()).text().split())
+    reason = "nothing counts as a glare source, so that no small change affects the rating"
+    assert f"What would change it no change is proposed: {reason}" in text
+    assert "noise" not in text
 
 
 def test_only_effects_that_are_clear_of_the_noise_are_stated(explained):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from types import SimpleNamespace
 from typing import Any
 
@@ -427,12 +428,27 @@ def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():
     few = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 1000}})
     metal, floor, note = effects_of(Explanation(few))
     assert (metal, floor) == ("metal: +2.00 ± 0.10 ?", "floor: +1.00 ± 0.10")
-    assert note == "? too few samples contribute to its variance for a reliable error: its light is rare"
+    reason = "too few samples contribute to the variance for a reliable error: the light is rare"
+    assert note == f"? {reason}"
     both = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 3}})
     # No row has the mark where all would have it.
-    assert effects_of(Explanation(both))[-1].startswith("all parameters: too few samples contribute")
+    assert effects_of(Explanation(both))[-1] == f"all parameters: {reason}"
     assert "?" not in Explanation(both).text()
     assert effects_of(Explanation(few, count=1)) == [metal, note]
+
+
+@pytest.mark.parametrize(("count", "effect"), [(3, 2.0), (0, 0.0)])
+def test_a_doubt_reads_well_after_one_name_and_after_all(count: int, effect: float):
+    found = with_errors({"metal": (effect, 0.1), "floor": (effect, 0.1)})
+    reasons = []
+    for doubted in (["metal"], ["metal", "floor"]):
+        counts = {"metal": 1000, "floor": 1000} | dict.fromkeys(doubted, count)
+        one = dataclasses.replace(found, info={**found.info, "effective_samples": counts})
+        [reason] = set(one.untrusted_errors().values())
+        assert reason in " ".join(str(one).split())
+        reasons.append(reason)
+    assert reasons[0] == reasons[1]
+    assert not {"it", "its", "they", "their", "them"} & {*re.findall(r"\w+", reasons[0])}, reasons[0]
 
 
 def test_an_effect_whose_derivative_is_known_to_be_wrong_has_the_mark_of_the_table():

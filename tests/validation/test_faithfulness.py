@@ -125,6 +125,59 @@ def test_wrong_gradients_have_a_large_infidelity():
     assert missed[2] == pytest.approx(4, rel=0.2)  # (1 − (−1))²
 
 
+def noisy(size: float, noise: float = 1.0, seed: int = 0) -> Infidelity:
+    """Predictions of a tenth too little, and changes with noise that the perturbations partly share."""
+    generator = torch.Generator().manual_seed(shifted(seed))
+
+    def drawn(*shape: int) -> torch.Tensor:
+        return torch.randn(shape, dtype=torch.float64, generator=generator)
+
+    predicted = size * drawn(8)
+    measured = 1.1 * predicted[:, None] + noise * (drawn(8, 8) + drawn(1, 8))
+    return Infidelity(predicted, measured, "Glare", "VanillaSceneGradient")
+
+
+def relative_to_changes(found: Infidelity) -> tuple[str, str]:
+    """Return what the table and the figure say of the ratio."""
+    [row] = [line for line in str(found).splitlines() if line.startswith("relative")]
+    *_, footnote = found.plot().axes[0].texts
+    start = "relative to the mean square change"
+    return row.removeprefix(start).strip(), " ".join(footnote.get_text().split()).removeprefix(f"{start}: ")
+
+
+def test_a_ratio_to_changes_within_the_noise_is_not_stated():
+    said = "too noisy to tell, since the changes are within the noise of rendering; use more samples"
+    found = noisy(0.0)
+    assert relative_to_changes(found) == (said, said)
+    assert math.isnan(found.normalized)
+    assert math.isnan(found.normalized_error)
+    assert math.isfinite(found.value)
+    none = dataclasses.replace(found, measured=torch.zeros(8, 8, dtype=torch.float64))
+    assert relative_to_changes(none) == ("not defined, since the metric did not change",) * 2
+    assert math.isnan(none.normalized)
+    clear = noisy(20.0)
+    row, footnote = relative_to_changes(clear)
+    assert " ± " in row
+    assert " ± " in footnote
+    assert footnote.endswith(" %")
+    assert clear.normalized == pytest.approx(0.01 / 1.21, abs=0.02)
+
+
+def test_a_ratio_that_is_stated_has_a_useful_error():
+    # From changes far below the noise to changes above it; of those between, only some are clear.
+    found = [noisy(size, seed=seed) for size in (0.0, 0.3, 0.6, 1.0, 6.0) for seed in range(8)]
+    stated = [one for one in found if not math.isnan(one.normalized)]
+    assert 8 <= len(stated) <= 24
+    for one in stated:
+        assert abs(one.normalized) < 1, one
+        assert one.normalized_error < 1, one
+
+
+def test_few_perturbations_do_not_hide_changes_without_noise():
+    for seed in range(8):
+        assert noisy(1.0, noise=0.0, seed=seed).normalized == pytest.approx(0.01 / 1.21)
+
+
 def test_the_jackknife_of_a_mean_is_its_standard_error():
     predicted, measured = torch.randn(30, dtype=torch.float64), torch.zeros(30, 4, dtype=torch.float64)
     value, error = statistic_with_error(lambda p, m: p.mean(), predicted, measured)

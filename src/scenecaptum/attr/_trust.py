@@ -20,8 +20,9 @@ from ._data import AttributionData, covariances
 
 A = TypeVar("A", bound=AttributionData)
 
-NO_SAMPLES = "no sample reached it: its light is rare, or there is none"
-FEW_SAMPLES = "too few samples contribute to its variance for a reliable error: its light is rare"
+# Each reason is read after one name, after several, and after "all parameters".
+NO_SAMPLES = "reached by no sample: the light is rare, or there is none"
+FEW_SAMPLES = "too few samples contribute to the variance for a reliable error: the light is rare"
 
 
 def untrusted_errors(attribution: AttributionData) -> dict[str, str]:

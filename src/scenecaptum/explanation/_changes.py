@@ -10,10 +10,12 @@ import torch
 
 from ..attr import Change, Definition, SceneAttribution
 from ..estimation import at_values, channel_totals, difference_by_definition
+from ..metrics import NO_SOURCE
 from ..optimize import BOUND_MARGIN, construction, design_bounds, first_of_each_light
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
+from ..visualization import verdict
 
 STEP = 0.1  # of a bounded range
 DIMMING = 0.25  # of an unbounded value, such as a radiance
@@ -63,9 +65,16 @@ def propose(
 
 def why_none(attribution: SceneAttribution) -> str:
     """Return why there is no change to propose."""
-    if not attribution.ranking():
-        return "no change is proposed: nothing here has a derivative to predict it from"
-    return "no change is proposed: no single one has a predicted effect that is clear of its noise"
+    ranking = attribution.ranking()
+    if not ranking:
+        why = "nothing here has a derivative to predict it from"
+    elif verdict(attribution) == NO_SOURCE:
+        why = "nothing counts as a glare source, so that no small change affects the rating"
+    elif not any(row.saliency or row.saliency_error for row in ranking):
+        why = "every predicted effect is 0"
+    else:
+        why = "no single one has a predicted effect that is clear of its noise"
+    return f"no change is proposed: {why}"
 
 
 def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> Change:

@@ -71,7 +71,8 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     Returns
     -------
     Infidelity
-        ``value`` is in the squared unit of the metric; ``normalized`` is relative to the mean square change.
+        ``value`` is in the squared unit of the metric; ``normalized`` is relative to the mean square change, and
+        NaN where that is not clear of the noise of rendering.
 
     Raises
     ------

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..estimation import delete_one_jackknife, mean_and_error
+from ..student import clear_from
 from ..visualization import (
     RAISES,
     UNCLEAR,
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 Statistic = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 _NAME_WIDTH = 36
+_FOOTNOTE_WIDTH = 60
+IN_NOISE = "too noisy to tell, since the changes are within the noise of rendering; use more samples"
+NO_CHANGE = "not defined, since the metric did not change"
 
 
 @dataclass(frozen=True, repr=False)
@@ -64,13 +68,36 @@ class Infidelity:
 
     @property
     def normalized(self) -> float:
-        """``value`` over the mean square change: 0 for a perfect prediction, 1 for one of no change at all."""
-        return self._with_error(_normalized_error)[0]
+        """``value`` over the mean square change: 0 for a perfect prediction, 1 for one of no change at all.
+
+        NaN where the mean square change is not clear of the noise of rendering: the ratio would be of noise.
+        """
+        return math.nan if self._why_no_ratio() else self._with_error(_normalized_error)[0]
 
     @property
     def normalized_error(self) -> float:
-        """Standard error of ``normalized``."""
-        return self._with_error(_normalized_error)[1]
+        """Standard error of ``normalized``; NaN where that is."""
+        return math.nan if self._why_no_ratio() else self._with_error(_normalized_error)[1]
+
+    def _why_no_ratio(self) -> str:
+        """Return why ``value`` cannot be compared with the mean square change; empty if it can.
+
+        The mean square change must be clear of the noise of rendering without any one perturbation, too: the error
+        of the ratio is from such means. The choice of perturbations alone cannot make it 0.
+        """
+        if not self.measured.any():
+            return NO_CHANGE
+        whole = torch.arange(len(self.measured))
+        subsets = [whole, *(whole[whole != left_out] for left_out in whole)]
+        return "" if all(_has_clear_changes(self.measured[kept]) for kept in subsets) else IN_NOISE
+
+    def _ratio(self, unit: str = "") -> str:
+        """Return ``normalized`` with its error, in ``"%"`` if that is the unit, or why there is none."""
+        if why := self._why_no_ratio():
+            return why
+        scale = 100 if unit else 1
+        written = format_with_error(scale * self.normalized, scale * self.normalized_error)
+        return f"{written} {unit}".rstrip()
 
     def _with_error(self, statistic: Statistic) -> tuple[float, float]:
         return statistic_with_error(statistic, self.predicted, self.measured)
@@ -88,18 +115,17 @@ class Infidelity:
             x="predicted change: perturbation × attribution",
             y=f"measured change of {shorten([self.metric], _NAME_WIDTH)[0]}",
         )
-        relative = format_with_error(100 * self.normalized, 100 * self.normalized_error)
-        add_footnotes(ax, [f"relative to the mean square change: {relative} %"], below=34)
+        note = f"relative to the mean square change: {self._ratio('%')}"
+        add_footnotes(ax, wrapped_lines(note, _FOOTNOTE_WIDTH), below=34)
         return figure_of(ax)
 
     def __str__(self) -> str:
         count, replicates = self.measured.shape
         size = self.predicted.square().mean().sqrt().item()
-        relative = format_with_error(self.normalized, self.normalized_error)
         lines = grid(
             (f"infidelity of {self.method}", format_with_error(self.value, self.standard_error)),
             [
-                ("relative to the mean square change", relative),
+                ("relative to the mean square change", self._ratio()),
                 ("root mean square of the predicted changes", rounded(size, 4)),
             ],
         )
@@ -164,7 +190,7 @@ class SensitivityN:
         ax.set_xticks(self.sizes)
         y = "Pearson correlation of\nsums and changes"
         style_axes(ax, "Sensitivity-n", x="parameters deleted together", y=y)
-        add_footnotes(ax, wrapped_lines(f"{self.method} for {self.metric}", 60), below=34)
+        add_footnotes(ax, wrapped_lines(f"{self.method} for {self.metric}", _FOOTNOTE_WIDTH), below=34)
         return figure_of(ax)
 
     def __str__(self) -> str:
@@ -203,6 +229,13 @@ def _mean_square_error(predicted: torch.Tensor, measured: torch.Tensor) -> torch
 def _normalized_error(predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
     mean_square = _mean_square(measured)
     return torch.where(mean_square == 0, math.nan, _mean_square_error(predicted, measured) / mean_square)
+
+
+def _has_clear_changes(measured: torch.Tensor) -> bool:
+    """Whether the mean square of ``(n, R)`` replicated changes is clear of the noise of rendering."""
+    replicates = measured.shape[1]
+    change, error = delete_one_jackknife(lambda kept: _mean_square(measured[:, kept]), replicates)
+    return bool(change > clear_from({"replicates": replicates}) * error)
 
 
 def _mean_square(replicates: torch.Tensor) -> torch.Tensor:
