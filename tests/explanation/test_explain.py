@@ -70,6 +70,15 @@ def test_an_explanation_says_why_no_change_is_proposed():
     covariance = {name: matrix + 1.0 for name, matrix in found.attribution.covariance.items()}
     noisy = why_none(dataclasses.replace(found.attribution, covariance=covariance))
     assert noisy == "no change is proposed: no single one has a predicted effect that is clear of its noise"
+    one = why_none(dataclasses.replace(found.attribution, covariance=None, standard_error=None))
+    assert one == "no change is proposed: every predicted effect is 0"
+    clear = dataclasses.replace(
+        found.attribution, attributions={name: 1.0 + value for name, value in found.attribution.items()}
+    )
+    said = "what has a clear effect is part of the construction, off, or as far as it can go"
+    assert why_none(clear) == f"no change is proposed: {said}"
+    unknown = why_none(dataclasses.replace(clear, covariance=None, standard_error=None))
+    assert unknown == "no change is proposed: without error bars no effect is known to be clear of its noise"
 
 
 def test_no_change_is_proposed_where_nothing_counts_as_a_glare_source():

@@ -12,7 +12,7 @@ from ..attr import Change, Definition, SceneAttribution
 from ..estimation import at_values, channel_totals, difference_by_definition
 from ..metrics import NO_SOURCE
 from ..optimize import BOUND_MARGIN, construction, design_bounds, first_of_each_light
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, RankedParameter, Renderer
 from ..scene import clamp_inside, pose_component
 from ..validation import Scenes
 from ..visualization import verdict
@@ -72,9 +72,17 @@ def why_none(attribution: SceneAttribution) -> str:
         why = "nothing counts as a glare source, so that no small change affects the rating"
     elif not any(row.saliency or row.saliency_error for row in ranking):
         why = "every predicted effect is 0"
+    elif attribution.covariance is None:
+        why = "without error bars no effect is known to be clear of its noise"
+    elif any(_is_clear(row) and row.name not in attribution.vectors for row in ranking):
+        why = "what has a clear effect is part of the construction, off, or as far as it can go"
     else:
         why = "no single one has a predicted effect that is clear of its noise"
     return f"no change is proposed: {why}"
+
+
+def _is_clear(row: RankedParameter) -> bool:
+    return row.effect_error is not None and abs(row.effect) > SIGNIFICANT * row.effect_error
 
 
 def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> Change:
