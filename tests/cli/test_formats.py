@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 from scenecaptum import SceneAttribution, cli
 from scenecaptum.cli._files import OutputFormat
 from scenecaptum.cli._formats import FORMATS, selected_formats
+from scenecaptum.denoising import denoise
 from scenecaptum.report import write_csv, write_json
+from scenecaptum.visualization import save_render
 
 TINY = ["cornell-box", "--resolution", "16x16", "--spp", "8", "--max-depth", "2", "--inputs", "emitters"]
 QUIET = ["--replicates", "2", "--no-progress"]
@@ -78,6 +80,15 @@ def test_the_map_has_signs_where_effects_have_both(tmp_path: Path, monkeypatch: 
         (heatmap,) = selected_formats(["heatmap"], None, signed=signed, denoised=True)
         heatmap.write(attribution, tmp_path / "heatmap.png")
         assert drawn[-1] == {"scale": None, "signed": expected, "denoised": True}
+
+
+@pytest.mark.parametrize("denoised", [True, False])
+def test_the_render_is_denoised_unless_off(tmp_path: Path, denoised: bool) -> None:
+    attribution = results.make()
+    (render,) = selected_formats(["render"], None, signed=None, denoised=denoised)
+    render.write(attribution, tmp_path / "render.png")
+    save_render(denoise(attribution.image) if denoised else attribution.image, tmp_path / "expected.png")
+    assert (tmp_path / "render.png").read_bytes() == (tmp_path / "expected.png").read_bytes()
 
 
 def test_an_unknown_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,16 +14,15 @@ from ..projection import export
 from ..protocols import Scale
 from ..report import write_csv, write_json
 from ..student import clear_from
-from ..visualization import save_render
+from ..visualization import save_render, shown_render
 from ._files import OutputFormat, figure_writer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def _write_render(attribution: SceneAttribution, path: Path) -> None:
-    assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
-    save_render(attribution.image, path)
+def _write_render(attribution: SceneAttribution, path: Path, *, denoised: bool = True) -> None:
+    save_render(shown_render(attribution, denoised=denoised), path)
 
 
 # Written in this order: numbers first, so that an interruption while plotting leaves them.
@@ -57,7 +56,7 @@ def selected_formats(
     """Return the formats with these names, their figures in a scale.
 
     The map has signs if ``signed``; if that is None, wherever effects of both signs are clear of the noise.
-    ``denoised`` shows the render beside it denoised.
+    ``denoised`` shows the render denoised, alone and beside the map.
     """
 
     def plot_heatmap(attribution: SceneAttribution) -> Figure:
@@ -65,6 +64,7 @@ def selected_formats(
         return attribution.plot_heatmap(scale=scale, signed=has_signs, denoised=denoised)
 
     drawn: dict[str, Callable[[SceneAttribution, Path], None]] = {
+        "render": partial(_write_render, denoised=denoised),
         "heatmap": figure_writer(plot_heatmap),
         "bars": figure_writer(partial(SceneAttribution.plot_bars, scale=scale)),
         "exr": partial(export, scale=scale, signed=bool(signed)),
