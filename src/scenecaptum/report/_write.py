@@ -86,8 +86,8 @@ def write_report(
     sections
         Further parts of the page, such as ``explore.section``.
     denoised
-        Show the renders denoised, for the eye; False shows those as they are on which the metric was evaluated.
-        Numbers do not depend on it.
+        Show the renders denoised, for the eye; False shows the images on which the metric was evaluated. No number
+        depends on it.
 
     Raises
     ------
