@@ -224,9 +224,9 @@ def test_a_group_leaves_out_a_light_that_is_off_unless_it_has_nothing_else():
     assert [row.name for row in summed.ranking()] == ["both", "own"]
     last, left_out = range_notes(summed)
     assert last.startswith("own: off, ")
-    assert "ranks last" in last
+    assert "ranked last" in last
     assert left_out.startswith("glass: off, ")
-    assert "left out of its group" in left_out
+    assert "left out of groups" in left_out
     assert "not shown" not in str(summed)
 
 

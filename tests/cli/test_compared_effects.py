@@ -129,7 +129,7 @@ def test_a_light_that_is_off_in_both_designs_is_counted_only() -> None:
     text = text_of(before, after)
     assert not any(row.startswith("lamp") for row in rows_of(text))
     assert "1 of lights that are off" in " ".join(" ".join(text).split())
-    assert "ranks last" not in " ".join(text)
+    assert "ranked last" not in " ".join(text)
     moved = dataclasses.replace(before, parameter_values={"lamp": torch.zeros(3)})
     switched = dataclasses.replace(after, parameter_values={"lamp": torch.ones(3)})
     assert rows_of(text_of(moved, switched))[0].startswith("lamp")

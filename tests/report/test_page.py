@@ -123,6 +123,8 @@ def test_the_three_numbers_of_a_row_are_of_a_colour_or_along_the_axes(browser, t
         in page.page.locator("#notes").inner_text()
     )
     assert said == bool(vectors)
+    lamp = page.page.locator("#rows tr").filter(has_text="lamp").first.locator(".sign")
+    assert (lamp.get_attribute("title") or "").startswith("moving it in" if vectors else "raising it")
     page.context.close()
 
 

@@ -50,6 +50,10 @@ def test_the_picture_is_denoised_for_the_eye_unless_off(tmp_path):
         assert data["pictures"] == [encode_picture(image, automatic_exposure(image))]
         assert [one["isDenoised"] for one in data["results"]] == [denoised]
     assert not torch.equal(shown_render(result, denoised=True), shown_render(result))
+    # The image on which the metric was evaluated was denoised.
+    of_denoised = dataclasses.replace(result, info={**result.info, "picture": {"denoised": True}})
+    write_report(of_denoised, tmp_path / "report.html", denoised=False)
+    assert data_of(tmp_path / "report.html")["results"][0]["isDenoised"]
 
 
 def test_pictures_of_different_cameras_are_kept_apart(tmp_path):

@@ -80,11 +80,11 @@ def test_a_light_that_is_off_has_its_number_in_place_of_a_bar() -> None:
     text = " ".join(all_text(figure).split())
     assert "−50.00 ± 0.10" in text
     assert "Glare depends most on desk" in text
-    assert "so it ranks last, without a bar or a colour" in text
+    assert "so ranked last, without a bar or a colour" in text
     assert outside(figure) == []
     first = " ".join(all_text(plot_bars(off, top=1)).split())
     assert "1 parameter with smaller effects not shown" in first
-    assert "so it ranks last" in first
+    assert "so ranked last" in first
     assert plot_bars(on).axes[0].patches[0].get_width() == -50
 
 

@@ -31,6 +31,7 @@ from ..visualization import (
     convergence_notes,
     findings,
     group_notes,
+    is_denoised,
     is_of_camera,
     jump_notes,
     kept_channels,
@@ -134,7 +135,7 @@ def report_data(
             {
                 "view": index,
                 "picture": picture,
-                "isDenoised": denoised and plan is None,
+                "isDenoised": plan is None and (denoised or is_denoised(attribution)),
                 **_result(attribution, title, surfaces, shown, explanation),
             }
         )

@@ -134,8 +134,10 @@ function valueOf(row) {
 const SIGNS = { "1": ["▲", "raises"], "-1": ["▼", "lowers"], "0": ["◆", "unclear"] };
 
 /** Say what a sign means: raising a parameter raises the metric, or its being there adds to it. */
-function signWords(result, sign) {
-  return { "1": result.signs[0], "-1": result.signs[1], "0": "sign lost in the noise" }[sign];
+function signWords(result, sign, row) {
+  const words = { "1": result.signs[0], "-1": result.signs[1], "0": "sign lost in the noise" }[sign];
+  // The effect of a pose is that of the direction in which it is largest: nothing is raised.
+  return row?.isVector ? words.replace("raising it", "moving it in this direction") : words;
 }
 
 /** A mark that says a parameter's sign by shape and by colour; variances and the like have none. */
@@ -143,7 +145,7 @@ function signMark(row, result) {
   if (!result.signs) return null;
   if (!row.saliency) return make("span", { class: "sign" });
   const [mark, kind] = SIGNS[row.sign];
-  const words = signWords(result, row.sign);
+  const words = signWords(result, row.sign, row);
   return make("span", { class: `sign ${kind}`, title: words, role: "img", "aria-label": words }, mark);
 }
 

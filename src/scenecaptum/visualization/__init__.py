@@ -57,6 +57,7 @@ from ._layout import wrapped_lines as wrapped_lines
 from ._maps import diverging as diverging
 from ._maps import draw_colorbar as draw_colorbar
 from ._maps import draw_overlay as draw_overlay
+from ._maps import is_denoised as is_denoised
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
 from ._maps import shown_render as shown_render

@@ -102,18 +102,16 @@ def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[
     of_groups = [name for name in off if name not in attribution]
     if attribution.info.get("linear_in_light"):
         return (
-            {f"{_named(attribution, of_groups)}: off, so left out of its group": of_groups}
-            if of_groups
-            else {}
+            {f"{_named(attribution, of_groups)}: off, so left out of groups": of_groups} if of_groups else {}
         )
     cases = {
-        ", so it ranks last, without a bar or a colour": [name for name in off if name in last],
-        ", so it is left out of its group": of_groups,
+        ", so ranked last, without a bar or a colour": [name for name in off if name in last],
+        ", so left out of groups": of_groups,
         "": [name for name in off if name in attribution and name not in last],
     }
     reason = (
         f"off, and {metric_symbol(attribution)} is not linear in the light: to first order, the effect of "
-        "switching it on may be far off, even in its sign"
+        "switching on may be far off, even in its sign"
     )
     return {
         advised(f"{_named(attribution, names)}: {reason}{consequence}", RENDER): names

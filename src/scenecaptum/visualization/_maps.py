@@ -117,7 +117,7 @@ def plot_heatmap(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2, figsize))
     bar = None
     if ax is None:
-        denoised = denoised or _is_denoised(attribution)
+        denoised = denoised or is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
         left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "white" if signed else None)
         left.imshow(render)
@@ -175,7 +175,7 @@ def draw_overlay(
     ax: Axes, attribution: Attribution, heat: torch.Tensor, *, signed: bool, alpha: float = OPACITY
 ) -> AxesImage:
     """Draw a map over the grey render, with the arrows of objects that could move; return the map."""
-    grey = _displayed_render(attribution, denoised=_is_denoised(attribution)).mean(-1)
+    grey = _displayed_render(attribution, denoised=is_denoised(attribution)).mean(-1)
     ax.imshow(_RENDER_BRIGHTNESS * grey, cmap="gray", vmin=0, vmax=1)
     mapped = draw_map(ax, heat, signed=signed, alpha=alpha)
     draw_arrows(ax, attribution)
@@ -237,7 +237,7 @@ def shown_render(attribution: Attribution, *, denoised: bool = False) -> torch.T
     SceneCaptumError
         If the attribution has no image.
     """
-    return _render(attribution, denoised=denoised or _is_denoised(attribution))
+    return _render(attribution, denoised=denoised or is_denoised(attribution))
 
 
 def _render(attribution: Attribution, *, denoised: bool) -> torch.Tensor:
@@ -246,7 +246,8 @@ def _render(attribution: Attribution, *, denoised: bool) -> torch.Tensor:
     return denoise(attribution.image) if denoised else attribution.image
 
 
-def _is_denoised(attribution: Attribution) -> bool:
+def is_denoised(attribution: Attribution) -> bool:
+    """Whether the metric was evaluated on a denoised image."""
     return bool((attribution.info.get("picture") or {}).get("denoised"))
 
 
