@@ -123,6 +123,10 @@ DEPTH = (
     "Paths have at most 6 segments, and deep.xml asks for {}: this is quick, but the light of longer ones "
     "is missing. For final numbers use --max-depth {}"
 )
+SHORTER = (
+    "Paths have at most 6 segments, and deep.xml asks for 3: the picture has light that the scene leaves out. "
+    "For its own light use --max-depth 3"
+)
 
 
 @pytest.mark.parametrize(
@@ -130,6 +134,7 @@ DEPTH = (
     [
         ("12", [], [DEPTH.format("12", 12)]),
         ("-1", [], [DEPTH.format("paths of any length", -1)]),
+        ("3", [], [SHORTER]),
         ("6", [], []),
         ("12", ["--max-depth", "3"], []),
     ],

@@ -196,13 +196,19 @@ def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None
 def _say_depth(renderer: SceneRenderer) -> None:
     """Warn that the scene asks for another depth than that of the command, if it does."""
     own, used = renderer.plan.scene_depth, renderer.plan.max_depth
-    if own not in (None, used):
-        wanted = "paths of any length" if own == -1 else str(own)
-        warnings.warn(
-            f"Paths have at most {used} segments, and {Path(renderer.name).name} asks for {wanted}: this is "
-            f"quick, but the light of longer ones is missing. For final numbers use --max-depth {own}",
-            stacklevel=3,
+    if own is None or own == used:
+        return
+    wanted = "paths of any length" if own == -1 else str(own)
+    asked = f"Paths have at most {used} segments, and {Path(renderer.name).name} asks for {wanted}: "
+    if 0 <= own < used:
+        consequence = (
+            f"the picture has light that the scene leaves out. For its own light use --max-depth {own}"
         )
+    else:
+        consequence = (
+            f"this is quick, but the light of longer ones is missing. For final numbers use --max-depth {own}"
+        )
+    warnings.warn(asked + consequence, stacklevel=3)
 
 
 def print_resumed(renderer: SceneRenderer) -> None:
