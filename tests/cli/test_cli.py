@@ -88,7 +88,7 @@ def test_numbers_agree_between_the_files(finished):
     assert [row["name"] for row in rows] == [row["name"] for row in numbers["ranking"]]
     assert [row.name for row in loaded.ranking()] == [row["name"] for row in rows]
     assert float(rows[0]["effect"]) == numbers["ranking"][0]["effect"] != 0
-    assert float(rows[0]["gradient_1"]) == numbers["ranking"][0]["total"][0]
+    assert float(rows[0]["total_1"]) == numbers["ranking"][0]["total"][0]
     assert numbers["metric"]["value"] == loaded.metric_value
     assert numbers["info"]["replicates"] == 8
     assert loaded.ranking()[0].label in printed

@@ -112,7 +112,7 @@ def test_numbers_are_written_from_python(tmp_path: Path, errors: bool) -> None:
     ranking = attribution.ranking()
     assert [row["name"] for row in rows] == [row["name"] for row in numbers["ranking"]]
     assert [float(row["effect"]) for row in rows] == [row.effect for row in ranking]
-    assert (rows[0]["error_1"] == "") is not errors
+    assert (rows[0]["total_error_1"] == "") is not errors
     assert numbers["metric"]["name"] == attribution.info["metric"]
 
 

@@ -122,7 +122,7 @@ def test_no_parameter_moves_farther_than_its_limit():
         )
     assert {moved.name: round(moved.fraction, 6) for moved in found.moved} == dict.fromkeys(start, 0.2)
     where, names = found.note.split(": ")
-    assert where == "at the limit of their change"
+    assert where == "at the limit of their change or range"
     assert set(names.split(", ")) == {"the strong lamp", "weak", "faint"}
     assert found.note in str(found)
     assert optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=2).note == ""
@@ -132,6 +132,8 @@ def test_physical_bounds_are_kept_with_a_margin():
     found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=1.0, steps=40)
     torch.testing.assert_close(found.values["strong"], torch.full((3,), 0.01))
     torch.testing.assert_close(found.values["weak"], torch.tensor(0.02))
+    assert found.note.startswith("at the limit of their change or range: ")
+    assert {"the strong lamp", "weak"} <= set(found.note.partition(": ")[2].split(", "))
     # The fractions are those of the values that were reached; the range of "weak" is 2.
     for moved in found.moved:
         change = (found.values[moved.name] - Lamps().inputs[moved.name]).abs().max().item()

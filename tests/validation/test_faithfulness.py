@@ -113,6 +113,22 @@ def test_render_noise_is_not_counted_as_infidelity():
     assert np.mean(naive) > 1.05 * np.mean([one.value for one in found])
 
 
+def test_noise_of_the_gradients_is_not_counted_as_infidelity():
+    exact = infidelity(Lamps(), bent, n_perturb_samples=20 * SAMPLES)
+    noisy = Lamps(noise=4.0)
+    found = []
+    for seed, other in zip(seeds(20), seeds(40)[20:], strict=True):
+        gradient = VanillaSceneGradient(noisy, bent).attribute(seed=other, spp=64)
+        found.append(infidelity(Lamps(), bent, gradient, n_perturb_samples=SAMPLES, seed=seed))
+    z = [(one.value - exact.value) / math.hypot(one.standard_error, exact.standard_error) for one in found]
+    values = np.array([one.value for one in found])
+    error = math.hypot(values.std(ddof=1) / math.sqrt(len(values)), exact.standard_error)
+    assert abs(values.mean() - exact.value) < allowed(len(values)) * error, z
+    assert 0.3 < np.std(z) < 2.2, z
+    naive = [(one.predicted - one.measured.mean(1)).square().mean().item() for one in found]
+    assert np.mean(naive) - values.mean() > 0.3 * exact.value, "the noise would not have been visible"
+
+
 def test_wrong_gradients_have_a_large_infidelity():
     renderer = Lamps()
     right = VanillaSceneGradient(renderer, bent).attribute()
@@ -161,6 +177,20 @@ def test_a_ratio_to_changes_within_the_noise_is_not_stated():
     assert " ± " in footnote
     assert footnote.endswith(" %")
     assert clear.normalized == pytest.approx(0.01 / 1.21, abs=0.02)
+
+
+def test_predictions_that_are_mostly_noise_of_the_gradients_have_no_ratio():
+    clear = noisy(20.0)
+    deviations = torch.linspace(-1, 1, 8, dtype=torch.float64) * clear.predicted[:, None]
+    few = dataclasses.replace(clear, replicates=clear.predicted[:, None] + 0.2 * deviations)
+    assert math.isfinite(few.normalized)
+    assert few.standard_error > clear.standard_error
+    assert "their error from the noise of the gradients" in str(few)
+    assert "noise of the gradients" not in str(clear)
+    many = dataclasses.replace(clear, replicates=clear.predicted[:, None] + 8 * deviations)
+    assert math.isnan(many.normalized)
+    said = "too noisy to tell, since the predictions are mostly noise of the gradients; use more samples for these"
+    assert relative_to_changes(many) == (said, said)
 
 
 def test_a_ratio_that_is_stated_has_a_useful_error():

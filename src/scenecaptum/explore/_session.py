@@ -18,6 +18,7 @@ from ..linearization import Derivative, Design, Designs, Linearization, Measured
 from ..metrics import Measure
 from ..rendering import SceneRenderer
 from ..report import describe_objects
+from ..scene import scene_heading
 from ..visualization import automatic_exposure, rounded, unit_of_change
 from ._channel import Channel
 
@@ -92,7 +93,7 @@ class Exploration:
         width, height = renderer.resolution
         self.channel.publish(
             "scene",
-            name=renderer.name,
+            name=scene_heading(renderer.name),
             width=width,
             height=height,
             metrics=[_describe(*pair) for pair in zip(named, self.designs.metrics, strict=True)],

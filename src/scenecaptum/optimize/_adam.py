@@ -66,11 +66,15 @@ class BoundedAdam:
         """Return the current values as functions of the offsets."""
         current = {}
         for name, value in self.start.items():
-            change = self._ranges[name] * self._directions[name] * self._offsets[name]
-            moved = value + change.reshape(value.shape)
             margin = BOUND_MARGIN * self._ranges[name]
-            current[name] = clamp_inside(moved, value, *self._bounds[name], margin)
+            current[name] = clamp_inside(self._unbounded(name), value, *self._bounds[name], margin)
         return current
+
+    def _unbounded(self, name: str) -> torch.Tensor:
+        """Return a parameter's value at its offset, which may be outside the physical bounds."""
+        value = self.start[name]
+        change = self._ranges[name] * self._directions[name] * self._offsets[name]
+        return value + change.reshape(value.shape)
 
     def step(self, image: torch.Tensor, adjoint: torch.Tensor) -> None:
         """Take one descent step, given the gradient of the metric with respect to the image."""
@@ -110,10 +114,11 @@ class BoundedAdam:
         return {name for name, _ in self._pairs(self.values()) - self._touching}
 
     def at_limits(self) -> list[str]:
-        """Return the parameters that have gone as far as their change or limits let them, with all channels."""
-        found = []
+        """Return the parameters that have gone as far as change, limits or bounds let them, with all channels."""
+        found, current = [], self.values()
         for name, offset in self._offsets.items():
             low, high = (limit.reshape(-1).expand_as(offset) for limit in self._limits[name])
-            if bool(((offset <= low) | (offset >= high)).all()):
+            clamped = (current[name] != self._unbounded(name)).reshape(-1, offset.numel()).all(0)
+            if bool(((offset <= low) | (offset >= high) | clamped).all()):
                 found.append(name)
         return found

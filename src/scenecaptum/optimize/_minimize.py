@@ -241,7 +241,7 @@ class Search:
         labels = {row.name: row.label for row in rows}
         note = NOISE_ONLY if rates_picture and after.is_below(below) else ""
         if not after.is_below(below) and (stopped := optimizer.at_limits()):
-            note = f"at the limit of their change: {', '.join(labels[one] for one in stopped)}"
+            note = f"at the limit of their change or range: {', '.join(labels[one] for one in stopped)}"
         return Optimization(
             values=optimized(),
             moved=self._moved(optimized(), {**start, **brought}, limits),

@@ -120,7 +120,7 @@ class Optimization:
         Name and unit of the metric.
     note
         What the errors of a goal that was reached leave out: for a rating of a picture, the resolution. Of one
-        that was missed, which parameters are at the limit of their change.
+        that was missed, which parameters are at the limit of their change or range.
     shows_a_view
         Whether the images are pictures, and not the points of a sensor grid.
     """

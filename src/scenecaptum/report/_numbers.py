@@ -49,7 +49,10 @@ def json_text(attribution: SceneAttribution) -> str:
 
 
 def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> None:
-    """Write the ranking as CSV: one row for each parameter, with the gradient and the error of each channel.
+    """Write the ranking as CSV: one row for each parameter, with the total of each channel and its error.
+
+    The columns are named as in the JSON: ``total_1`` is the attribution summed over the texels of a texture, that
+    is a gradient per unit, a contribution or an effect of ablation, depending on the method.
 
     ``attribution``, ``path`` and the errors are as for ``write_json``.
     """
@@ -59,8 +62,8 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
     with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         columns = ["rank", "name", "label", "effect", "effect_error"]
-        gradients = [f"gradient_{c + 1}" for c in channels] + [f"error_{c + 1}" for c in channels]
-        writer.writerow([*columns, *gradients, "metric_caution"])
+        totals = [f"{column}_{c + 1}" for column in ("total", "total_error") for c in channels]
+        writer.writerow([*columns, *totals, "metric_caution"])
         for row in rows:
             padding = [""] * (len(channels) - len(row.total))
             errors = ("",) * len(row.total) if row.total_error is None else row.total_error

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from ..attr import Explanation
 from ..files import atomic_write
 from ..protocols import Attribution
+from ..scene import scene_heading
 from ._data import Comparison, check, default_titles, report_data
 
 if TYPE_CHECKING:
@@ -101,8 +102,12 @@ def write_report(
     drawn = [None] * len(results) if plans is None else list(plans)
     check(results, titles, drawn, comparison)
     names = default_titles(results) if titles is None else [str(title) for title in titles]
-    data = {"title": title, **report_data(results, names, explanations, drawn, comparison, denoised=denoised)}
-    _write(path, _page(data, sections))
+    data = report_data(results, names, explanations, drawn, comparison, denoised=denoised)
+    named = (str(one.info["scene"]) for one in results if one.info.get("scene"))
+    scenes = list(dict.fromkeys(map(scene_heading, named)))
+    heading = title or ", ".join(scenes) or "Scene"
+    name = title or " · ".join([*scenes[:2], "scene attribution"])
+    _write(path, _page({"heading": heading, **data}, name, sections))
 
 
 def write_section(section: Section, path: str | os.PathLike[str], scene: str) -> None:
@@ -119,14 +124,14 @@ def write_section(section: Section, path: str | os.PathLike[str], scene: str) ->
     path
         The file to write, atomically.
     scene
-        The name of the scene, for the title of the page.
+        The name or path of the scene, for the title of the page.
 
     Raises
     ------
     SceneCaptumError
         If the file cannot be written.
     """
-    parts = {"title": html.escape(f"{scene} · {section.title}"), "section": _content(section)}
+    parts = {"title": html.escape(f"{scene_heading(scene)} · {section.title}"), "section": _content(section)}
     _write(path, fill_template(_resource("section.html"), parts, [section.style], [section.module]))
 
 
@@ -135,12 +140,11 @@ def _write(path: str | os.PathLike[str], page: str) -> None:
         partial.write_bytes(page.encode("utf-8", "replace"))
 
 
-def _page(data: dict[str, Any], sections: Sequence[Section]) -> str:
+def _page(data: dict[str, Any], title: str, sections: Sequence[Section]) -> str:
     script = "\n".join(map(_resource, _SCRIPTS))
     wrapped = f'"use strict";\n(() => {{\n{script}\n}})();\n'
-    scenes = list(dict.fromkeys(str(result["info"].get("scene", "")) for result in data["results"]))
     parts = {
-        "title": html.escape(data["title"] or " · ".join(filter(None, [*scenes[:2], "scene attribution"]))),
+        "title": html.escape(title),
         "script": wrapped,
         "data": _to_json(data),
         "sections": "\n".join(map(_section, sections)),

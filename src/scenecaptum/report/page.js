@@ -435,7 +435,7 @@ function csvText() {
   const padded = (list, count) => Array.from({ length: count }, (_, index) => list?.[index] ?? "");
   const values = most((row) => row.value?.length ?? 0);
   const channels = most((row) => row.total.length);
-  const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "effect", "effect_error", ...numbered("gradient", channels), ...numbered("error", channels)];
+  const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "effect", "effect_error", ...numbered("total", channels), ...numbered("total_error", channels)];
   const lines = results.flatMap((one) => one.rows.map((row, index) => [
     one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.effect ?? "", row.effectError ?? "",
     ...padded(row.total, channels), ...padded(row.totalError, channels)]));
@@ -476,8 +476,7 @@ function drawResults() {
   });
   byId("results").replaceChildren(...choices);
   byId("results").classList.toggle("single", results.length === 1);
-  const scenes = [...new Set(results.map((one) => String(one.info.scene ?? "Scene")))];
-  byId("heading").textContent = data.title ?? scenes.map(sceneName).join(", ");
+  byId("heading").textContent = data.heading;
 }
 
 const LISTED = 6;
@@ -503,13 +502,6 @@ function drawChanges({ caption, columns, rows, notes }) {
   byId("changes").hidden = false;
   byId("changes").append(make("h2", {}, "How the effects change"), make("p", { class: "result-verdict" }, caption), make("div", { class: "wide", tabindex: "0" }, table),
     ...notes.map((text) => make("p", { class: "result-verdict" }, text)));
-}
-
-/** Name a scene by its file, or by its folder where the file is called what all are. */
-function sceneName(path) {
-  const parts = path.split(/[/\\]/).filter(Boolean);
-  const file = (parts.pop() ?? path).replace(/\.xml$/, "");
-  return file === "scene" && parts.length ? parts.pop() : file;
 }
 
 function listen() {

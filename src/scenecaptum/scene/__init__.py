@@ -23,6 +23,7 @@ from ._loading import format_parameters as format_parameters
 from ._loading import hashable_source as hashable_source
 from ._loading import load_scene as load_scene
 from ._loading import named_integrator as named_integrator
+from ._loading import scene_heading as scene_heading
 from ._loading import scene_name as scene_name
 from ._naming import plugin_name as plugin_name
 from ._naming import without_addresses as without_addresses

@@ -84,6 +84,19 @@ def scene_name(scene: SceneLike) -> str:
     return "the scene dict" if isinstance(scene, Mapping) else "the mi.Scene"
 
 
+def scene_heading(name: str) -> str:
+    """Return the name of a scene for people: of a path the file, or its folder where all files have that name.
+
+    Example
+    -------
+    >>> scene_heading("rooms/kitchen/scene.xml"), scene_heading("rooms/hall.xml"), scene_heading("office")
+    ('kitchen', 'hall', 'office')
+    """
+    *folders, file = name.replace("\\", "/").rstrip("/").split("/")
+    stem = file.removesuffix(".xml")
+    return folders[-1] if stem == "scene" and folders and folders[-1] else stem or name
+
+
 def hashable_source(scene: SceneLike) -> Any:
     """Return the description of a scene as strings and arrays to be hashed; ``str(mi.Scene)`` omits some of it.
 

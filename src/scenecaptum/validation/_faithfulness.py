@@ -45,7 +45,8 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     """Perturb all parameters at random and compare the change of the metric with the prediction of gradients.
 
     Estimates ``E[(Iᵀ Φ − (M(θ) − M(θ − I)))²]`` over perturbations ``I``, like ``captum.metrics.infidelity``, but
-    corrected for the noise of rendering. All scenes are rendered with common random numbers.
+    corrected for the noise of rendering and, if the attribution has error bars, for that of its gradients. All
+    scenes are rendered with common random numbers.
 
     Example
     -------
@@ -72,7 +73,7 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     -------
     Infidelity
         ``value`` is in the squared unit of the metric; ``normalized`` is relative to the mean square change, and
-        NaN where that is not clear of the noise of rendering.
+        NaN where that is not clear of the noise of rendering, or less than the noise of the predictions.
 
     Raises
     ------
@@ -96,17 +97,33 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     count = whole_number("n_perturb_samples", n_perturb_samples, 3)
     scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
     values = {name: scenes.values[name] for name in parameters_of(attribution, scenes.values)}
-    predicted, measured = [], []
+    predicted, deviations, measured = [], [], []
     for perturbed in perturbations(renderer, values, stdevs, count, seed):
-        changes = ((values[name] - perturbed[name]).double() * attribution[name].double() for name in values)
-        predicted.append(sum(change.sum().item() for change in changes))
+        changes = {name: (value - perturbed[name]).double() for name, value in values.items()}
+        predicted.append(sum((changes[name] * attribution[name].double()).sum().item() for name in values))
+        deviations.append(_deviations(changes, attribution.replicates))
         measured.append(scenes.unmodified - scenes.measure(perturbed))
+    predictions = torch.tensor(predicted, dtype=torch.float64)
     return Infidelity(
-        predicted=torch.tensor(predicted, dtype=torch.float64),
+        predicted=predictions,
         measured=torch.stack(measured),
         metric=metric_name(attribution),
         method=str(attribution.info["method"]),
+        replicates=predictions[:, None] + torch.stack(deviations) if attribution.covariance else None,
     )
+
+
+def _deviations(changes: Tensors, replicates: Tensors) -> torch.Tensor:
+    """Return by how much the prediction of each replicate differs from their mean, ``(replicates,)``.
+
+    Those of textures are left out: the perturbation is one of single texels, whose replicates are not known.
+    """
+    parts = [
+        (rows.double() - rows.double().mean(0)) @ changes[name].reshape(-1)
+        for name, rows in replicates.items()
+        if name in changes and changes[name].numel() == rows.shape[1]
+    ]
+    return torch.stack(parts).sum(0) if parts else torch.zeros(2, dtype=torch.float64)
 
 
 def perturbations(

@@ -34,6 +34,9 @@ Statistic = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 _NAME_WIDTH = 36
 _FOOTNOTE_WIDTH = 60
 IN_NOISE = "too noisy to tell, since the changes are within the noise of rendering; use more samples"
+NOISY_GRADIENTS = (
+    "too noisy to tell, since the predictions are mostly noise of the gradients; use more samples for these"
+)
 NO_CHANGE = "not defined, since the metric did not change"
 
 
@@ -49,28 +52,33 @@ class Infidelity:
         ``(n, replicates)``: the metric of the original scene minus that of the perturbed one.
     metric, method
         Names of the metric and of the attribution method.
+    replicates
+        ``(n, replicates)``: what each replicate of the attribution predicts; None without error bars. Of a
+        texture it is not known, since results have the noise of its total only: it counts as infidelity.
     """
 
     predicted: torch.Tensor
     measured: torch.Tensor
     metric: str
     method: str
+    replicates: torch.Tensor | None = None
 
     @property
     def value(self) -> float:
-        """The infidelity: mean square of prediction minus measurement, corrected for the noise of rendering."""
+        """The infidelity: mean square of prediction minus measurement, corrected for the noise of both."""
         return self._with_error(_mean_square_error)[0]
 
     @property
     def standard_error(self) -> float:
-        """Standard error of ``value``, from the choice of perturbations and the noise of rendering."""
+        """Standard error of ``value``, from the choice of perturbations and the noise of renders and gradients."""
         return self._with_error(_mean_square_error)[1]
 
     @property
     def normalized(self) -> float:
         """``value`` over the mean square change: 0 for a perfect prediction, 1 for one of no change at all.
 
-        NaN where the mean square change is not clear of the noise of rendering: the ratio would be of noise.
+        NaN where the mean square change is not clear of the noise of rendering, or less than the noise of the
+        predictions: the ratio would be of noise.
         """
         return math.nan if self._why_no_ratio() else self._with_error(_normalized_error)[0]
 
@@ -89,7 +97,14 @@ class Infidelity:
             return NO_CHANGE
         whole = torch.arange(len(self.measured))
         subsets = [whole, *(whole[whole != left_out] for left_out in whole)]
-        return "" if all(_has_clear_changes(self.measured[kept]) for kept in subsets) else IN_NOISE
+        if not all(_has_clear_changes(self.measured[kept]) for kept in subsets):
+            return IN_NOISE
+        return NOISY_GRADIENTS if self._noise_of_predictions() > _mean_square(self.measured) else ""
+
+    def _noise_of_predictions(self) -> torch.Tensor:
+        """Return the mean square error of the predictions, from the noise of the gradients; 0 if unknown."""
+        rows = _rows(self.predicted, self.replicates)
+        return _mean_square_of_mean(rows) - _mean_square(rows)
 
     def _ratio(self, unit: str = "") -> str:
         """Return ``normalized`` with its error, in ``"%"`` if that is the unit, or why there is none."""
@@ -100,7 +115,13 @@ class Infidelity:
         return f"{written} {unit}".rstrip()
 
     def _with_error(self, statistic: Statistic) -> tuple[float, float]:
-        return statistic_with_error(statistic, self.predicted, self.measured)
+        """Return a statistic of predictions and measurements, and its error with that of the gradients."""
+        rows, measured = _rows(self.predicted, self.replicates), self.measured
+        value, error = statistic_with_error(statistic, rows, measured)
+        if (count := rows.shape[1]) > 2:
+            of_gradients = delete_one_jackknife(lambda kept: statistic(rows[:, kept], measured), count)[1]
+            error = math.hypot(error, of_gradients.item())
+        return value, error
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Plot the measured against the predicted change of every perturbation, into ``ax`` if given."""
@@ -122,11 +143,14 @@ class Infidelity:
     def __str__(self) -> str:
         count, replicates = self.measured.shape
         size = self.predicted.square().mean().sqrt().item()
+        noise = self._noise_of_predictions().sqrt().item()
+        of_noise = [("their error from the noise of the gradients", rounded(noise, 4))] if noise else []
         lines = grid(
             (f"infidelity of {self.method}", format_with_error(self.value, self.standard_error)),
             [
                 ("relative to the mean square change", self._ratio()),
                 ("root mean square of the predicted changes", rounded(size, 4)),
+                *of_noise,
             ],
         )
         header = f"{self.metric} under {count} perturbations, each in {replicates} replicates"
@@ -209,7 +233,7 @@ class SensitivityN:
 def statistic_with_error(
     statistic: Statistic, predicted: torch.Tensor, measured: torch.Tensor, *, drawn: bool = True
 ) -> tuple[float, float]:
-    """Return a statistic of ``(n,)`` predictions and ``(n, replicates)`` measurements, and its standard error.
+    """Return a statistic of ``(n, …)`` predictions and ``(n, replicates)`` measurements, and its standard error.
 
     The error is that of the delete-one jackknife over the replicates and, if the ``n`` cases were drawn at random
     (``drawn``), over these too.
@@ -222,8 +246,15 @@ def statistic_with_error(
     return value.item(), error.item()
 
 
+def _rows(predicted: torch.Tensor, replicates: torch.Tensor | None) -> torch.Tensor:
+    """Return ``(n, replicates)`` predictions; without replicates two that are equal, which have no noise."""
+    return predicted[:, None].expand(-1, 2) if replicates is None else replicates
+
+
 def _mean_square_error(predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
-    return _mean_square(predicted[:, None] - measured)
+    """Return an unbiased mean square difference of ``(n, R)`` predictions and ``(n, R')`` measurements."""
+    product = (predicted.mean(1) * measured.mean(1)).mean()
+    return _mean_square(predicted) + _mean_square(measured) - 2 * product
 
 
 def _normalized_error(predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
@@ -243,6 +274,10 @@ def _mean_square(replicates: torch.Tensor) -> torch.Tensor:
     count = replicates.shape[1]
     products = replicates.sum(1).square() - replicates.square().sum(1)
     return products.mean() / (count * (count - 1))
+
+
+def _mean_square_of_mean(replicates: torch.Tensor) -> torch.Tensor:
+    return replicates.mean(1).square().mean()
 
 
 def _pearson(predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:

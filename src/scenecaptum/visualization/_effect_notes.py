@@ -144,7 +144,7 @@ def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
 def _roughness_notes(
     attribution: Attribution, scale: Scale | None, shown: Sequence[str]
 ) -> dict[str, list[str]]:
-    """Return a note on small roughnesses, whose tangents over the whole range overstate what they can do.
+    """Return a note on small roughnesses, whose tangents do not hold over the whole range: most overstate it.
 
     It names those whose effects are notable beside the largest of all, or the largest of them.
     """
@@ -165,8 +165,8 @@ def _roughness_notes(
     notable = _NOTABLE * max(effects.values())
     named = [name for name in small if effects[name] > notable] or small[:1]
     note = advised(
-        f"{_named(attribution, named, of=len(small))}: a small roughness acts most near 0, so its effect over the "
-        "whole range is overstated",
+        f"{_named(attribution, named, of=len(small))}: a small roughness often acts most near 0, so its effect "
+        "over the whole range may be far off",
         f"{RENDER}, or measure an ablation with another roughness as baseline",
     )
     return {note: small}

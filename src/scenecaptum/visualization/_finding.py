@@ -28,7 +28,7 @@ def finding(
     If the third may be the first as well, "and others" follows. It names only effects that are clear of
     their noise, and says so if the largest is not, or if one within its noise may be larger. Where nothing has an
     effect it names the poses that have no derivative. It names no effect
-    with a note (``~``), which may be overstated. ``metric`` is by default its name. A picture of single ``texels``
+    with a note (``~``), which may be far off. ``metric`` is by default its name. A picture of single ``texels``
     may show clear ones whose sum is not.
     """
     metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
