@@ -305,6 +305,14 @@ def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, word
     assert [word for word in words if word not in said] == [], said
 
 
+def test_a_glob_of_poses_is_told_how_to_select_them() -> None:
+    parameters = discover_in("office")
+    said = message(lambda: select(parameters, "*.translation"))
+    assert "matches only poses" in said
+    assert "write '*.pose.translation'" in said
+    assert select(parameters, "*.pose.translation")
+
+
 def test_a_shape_is_told_the_object_that_it_is_a_part_of() -> None:
     parameters = discover_in("office")
     said = message(lambda: select(parameters, "chair_seat.pose.translation"))

@@ -67,6 +67,7 @@ def test_gradients_of_a_linear_function_have_no_infidelity():
     found = infidelity(Lamps(), torch.mean, n_perturb_samples=SAMPLES)
     assert found.normalized == pytest.approx(0, abs=1e-9)
     assert found.value == pytest.approx(0, abs=1e-12)
+    assert "noise of the gradients" not in str(found), "there is none"
 
 
 @pytest.mark.parametrize("metric", [bent, product_of_three])
@@ -158,7 +159,8 @@ def relative_to_changes(found: Infidelity) -> tuple[str, str]:
     [row] = [line for line in str(found).splitlines() if line.startswith("relative")]
     *_, footnote = found.plot().axes[0].texts
     start = "relative to the mean square change"
-    return row.removeprefix(start).strip(), " ".join(footnote.get_text().split()).removeprefix(f"{start}: ")
+    note = " ".join(footnote.get_text().split()).removesuffix(" error bars: ± 1 standard error")
+    return row.removeprefix(start).strip(), note.removeprefix(f"{start}: ")
 
 
 def test_a_ratio_to_changes_within_the_noise_is_not_stated():
@@ -186,11 +188,16 @@ def test_predictions_that_are_mostly_noise_of_the_gradients_have_no_ratio():
     assert math.isfinite(few.normalized)
     assert few.standard_error > clear.standard_error
     assert "their error from the noise of the gradients" in str(few)
+    assert few.plot().axes[0].containers[0].has_xerr
+    assert not clear.plot().axes[0].containers[0].has_xerr
     assert "noise of the gradients" not in str(clear)
     many = dataclasses.replace(clear, replicates=clear.predicted[:, None] + 8 * deviations)
     assert math.isnan(many.normalized)
-    said = "too noisy to tell, since the predictions are mostly noise of the gradients; use more samples for these"
-    assert relative_to_changes(many) == (said, said)
+    said = "within the noise of the gradients; use more samples for the attribution"
+    assert all(one.endswith(said) for one in relative_to_changes(many))
+    within = noisy(0.0)
+    both = dataclasses.replace(within, replicates=10 * torch.linspace(-1, 1, 8).double().expand(8, 8))
+    assert "noise of rendering and of the gradients; use more samples for both" in str(both)
 
 
 def test_a_ratio_that_is_stated_has_a_useful_error():

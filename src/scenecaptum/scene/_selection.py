@@ -95,6 +95,12 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"inputs={item!r} matches {len(matched)} parameters, none of which can be differentiated; "
             f"{first.name}, for example: {first.problem}.{hint}"
         )
+    if poses := [name for name in known if fnmatchcase(name, item)]:
+        example = f"*.{poses[0].partition('.')[2]}" if ".pose." in poses[0] else poses[0]
+        return (
+            f"inputs={item!r} matches only poses, such as {poses[0]!r}. A glob selects poses only where it "
+            f"contains 'pose' or 'fov', because each takes renders of its own: write {example!r}."
+        )
     owner = item.partition(".")[0]
     hint = ""
     if item not in KINDS:

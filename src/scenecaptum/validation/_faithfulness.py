@@ -118,12 +118,14 @@ def _deviations(changes: Tensors, replicates: Tensors) -> torch.Tensor:
 
     Those of textures are left out: the perturbation is one of single texels, whose replicates are not known.
     """
+    # Relative to the first: the mean of equal rows may be rounded, which would be spurious noise.
     parts = [
-        (rows.double() - rows.double().mean(0)) @ changes[name].reshape(-1)
+        (rows.double() - rows[0].double()) @ changes[name].reshape(-1)
         for name, rows in replicates.items()
         if name in changes and changes[name].numel() == rows.shape[1]
     ]
-    return torch.stack(parts).sum(0) if parts else torch.zeros(2, dtype=torch.float64)
+    together = torch.stack(parts).sum(0) if parts else torch.zeros(2, dtype=torch.float64)
+    return together - together.mean()
 
 
 def perturbations(

@@ -35,7 +35,12 @@ _NAME_WIDTH = 36
 _FOOTNOTE_WIDTH = 60
 IN_NOISE = "too noisy to tell, since the changes are within the noise of rendering; use more samples"
 NOISY_GRADIENTS = (
-    "too noisy to tell, since the predictions are mostly noise of the gradients; use more samples for these"
+    "too noisy to tell, since the changes are within the noise of the gradients; use more samples for the "
+    "attribution"
+)
+BOTH_NOISY = (
+    "too noisy to tell, since the changes are within the noise of rendering and of the gradients; use more "
+    "samples for both"
 )
 NO_CHANGE = "not defined, since the metric did not change"
 
@@ -97,14 +102,16 @@ class Infidelity:
             return NO_CHANGE
         whole = torch.arange(len(self.measured))
         subsets = [whole, *(whole[whole != left_out] for left_out in whole)]
-        if not all(_has_clear_changes(self.measured[kept]) for kept in subsets):
-            return IN_NOISE
-        return NOISY_GRADIENTS if self._noise_of_predictions() > _mean_square(self.measured) else ""
+        is_noise = not all(_has_clear_changes(self.measured[kept]) for kept in subsets)
+        if self._noise_of_predictions() > _mean_square(self.measured).clamp(min=0):
+            return BOTH_NOISY if is_noise else NOISY_GRADIENTS
+        return IN_NOISE if is_noise else ""
 
     def _noise_of_predictions(self) -> torch.Tensor:
         """Return the mean square error of the predictions, from the noise of the gradients; 0 if unknown."""
         rows = _rows(self.predicted, self.replicates)
-        return _mean_square_of_mean(rows) - _mean_square(rows)
+        # Relative to the first: the mean of equal numbers may be rounded, which would be spurious noise.
+        return (rows - rows[:, :1]).var(1).mean() / rows.shape[1]
 
     def _ratio(self, unit: str = "") -> str:
         """Return ``normalized`` with its error, in ``"%"`` if that is the unit, or why there is none."""
@@ -124,12 +131,18 @@ class Infidelity:
         return value, error
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Plot the measured against the predicted change of every perturbation, into ``ax`` if given."""
+        """Plot the measured against the predicted change of every perturbation, into ``ax`` if given.
+
+        The bars are standard errors: of the renders and, where they are known, of the gradients.
+        """
         ax = axes_or_new(ax, 4.2, 4.2)
         ax.axline((0, 0), slope=1, color="0.75", linewidth=1, zorder=0)
         means, errors = zip(*map(mean_and_error, self.measured), strict=True)
         style: dict[str, Any] = {"fmt": "o", "markersize": 3, "elinewidth": 0.8, "alpha": 0.8}
-        ax.errorbar(self.predicted.tolist(), means, errors, color=RAISES, **style)
+        of_predictions = (
+            None if self.replicates is None else [mean_and_error(row)[1] for row in self.replicates]
+        )
+        ax.errorbar(self.predicted.tolist(), means, errors, of_predictions, color=RAISES, **style)
         style_axes(
             ax,
             f"Infidelity {format_with_error(self.value, self.standard_error)}",
@@ -137,7 +150,8 @@ class Infidelity:
             y=f"measured change of {shorten([self.metric], _NAME_WIDTH)[0]}",
         )
         note = f"relative to the mean square change: {self._ratio('%')}"
-        add_footnotes(ax, wrapped_lines(note, _FOOTNOTE_WIDTH), below=34)
+        lines = [*wrapped_lines(note, _FOOTNOTE_WIDTH), "error bars: ± 1 standard error"]
+        add_footnotes(ax, lines, below=34)
         return figure_of(ax)
 
     def __str__(self) -> str:
@@ -274,10 +288,6 @@ def _mean_square(replicates: torch.Tensor) -> torch.Tensor:
     count = replicates.shape[1]
     products = replicates.sum(1).square() - replicates.square().sum(1)
     return products.mean() / (count * (count - 1))
-
-
-def _mean_square_of_mean(replicates: torch.Tensor) -> torch.Tensor:
-    return replicates.mean(1).square().mean()
 
 
 def _pearson(predicted: torch.Tensor, measured: torch.Tensor) -> torch.Tensor:
