@@ -222,7 +222,7 @@ def test_every_small_roughness_has_a_mark_and_the_note_names_the_leading_ones() 
     assert marked == {"big.alpha", "small.alpha", "smaller.alpha"}
     assert "~ big.alpha and 2 more: a small roughness often acts most near 0" in " ".join(text.split())
     without = table_text(result([name for name in effects if name != "big.alpha"]))
-    assert "~ small.alpha and 1 more: a small roughness acts" in " ".join(without.split())
+    assert "~ small.alpha and 1 more: a small roughness often acts" in " ".join(without.split())
 
 
 def lowest(name: str, value: float, gradient: float = 0.0) -> SceneAttribution:
