@@ -96,6 +96,20 @@ def test_infidelity_is_that_of_captum(metric):
     assert found.value == pytest.approx(judge.item(), rel=1e-3)
 
 
+def check_mean(found: list[Infidelity], exact: Infidelity, *, spread: float) -> None:
+    """Check that the mean is the exact value, and the errors. They include the draws, which differ as well."""
+    z = [(one.value - exact.value) / math.hypot(one.standard_error, exact.standard_error) for one in found]
+    values = np.array([one.value for one in found])
+    error = math.hypot(values.std(ddof=1) / math.sqrt(len(values)), exact.standard_error)
+    assert abs(values.mean() - exact.value) < allowed(len(values)) * error, z
+    assert 0.3 < np.std(z) < spread, z
+
+
+def naive_mean(found: list[Infidelity]) -> float:
+    """Return the mean square error that includes the noise."""
+    return np.mean([(one.predicted - one.measured.mean(1)).square().mean().item() for one in found]).item()
+
+
 def test_render_noise_is_not_counted_as_infidelity():
     exact = infidelity(Lamps(), bent, n_perturb_samples=20 * SAMPLES)
     gradient = VanillaSceneGradient(Lamps(), bent).attribute()
@@ -103,15 +117,9 @@ def test_render_noise_is_not_counted_as_infidelity():
         infidelity(Lamps(noise=1.0), bent, gradient, n_perturb_samples=SAMPLES, seed=seed, spp=64)
         for seed in seeds(20)
     ]
-    # The draws differ as well, which the errors include.
-    z = [(one.value - exact.value) / math.hypot(one.standard_error, exact.standard_error) for one in found]
-    values = np.array([one.value for one in found])
-    error = math.hypot(values.std(ddof=1) / math.sqrt(len(values)), exact.standard_error)
-    assert abs(values.mean() - exact.value) < allowed(len(values)) * error, z
-    assert 0.3 < np.std(z) < 1.9, z
+    check_mean(found, exact, spread=1.9)
     # Noise of this size would have been visible.
-    naive = [(one.predicted - one.measured.mean(1)).square().mean().item() for one in found]
-    assert np.mean(naive) > 1.05 * np.mean([one.value for one in found])
+    assert naive_mean(found) > 1.05 * np.mean([one.value for one in found])
 
 
 def test_noise_of_the_gradients_is_not_counted_as_infidelity():
@@ -121,13 +129,9 @@ def test_noise_of_the_gradients_is_not_counted_as_infidelity():
     for seed, other in zip(seeds(20), seeds(40)[20:], strict=True):
         gradient = VanillaSceneGradient(noisy, bent).attribute(seed=other, spp=64)
         found.append(infidelity(Lamps(), bent, gradient, n_perturb_samples=SAMPLES, seed=seed))
-    z = [(one.value - exact.value) / math.hypot(one.standard_error, exact.standard_error) for one in found]
-    values = np.array([one.value for one in found])
-    error = math.hypot(values.std(ddof=1) / math.sqrt(len(values)), exact.standard_error)
-    assert abs(values.mean() - exact.value) < allowed(len(values)) * error, z
-    assert 0.3 < np.std(z) < 2.2, z
-    naive = [(one.predicted - one.measured.mean(1)).square().mean().item() for one in found]
-    assert np.mean(naive) - values.mean() > 0.3 * exact.value, "the noise would not have been visible"
+    check_mean(found, exact, spread=2.2)
+    values = [one.value for one in found]
+    assert naive_mean(found) - np.mean(values) > 0.3 * exact.value, "the noise would not have been visible"
 
 
 def test_wrong_gradients_have_a_large_infidelity():
