@@ -52,6 +52,7 @@ from ._scenes import (
     distances_to_bounds,
     is_plain_gradient,
     unit_gradient,
+    values_of,
 )
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
     renderer, metric, target
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
-        The plain gradients to test; computed by default.
+        The plain gradients to test, at the values for which they were made; computed by default.
     top
         Number of parameters to test.
     seed
@@ -131,7 +132,8 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
     Raises
     ------
     SceneCaptumError
-        If the attribution is not one of plain gradients, or has no error bars.
+        If the attribution is not one of plain gradients, has no error bars, or was made for another texture than
+        that of the renderer.
 
     References
     ----------
@@ -150,7 +152,14 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(
+        renderer,
+        metric,
+        target,
+        **options,
+        denoise=denoise_of(attribution),
+        values=values_of(attribution, renderer),
+    )
     slopes, errors = attribution.saliency("unit"), attribution.saliency_error("unit") or {}
     rows = [row for row in attribution.ranking(whole_number("top", top)) if slopes[row.name] > 0]
     cautions = attribution.info.get("cautions") or {}

@@ -44,7 +44,6 @@ from ..visualization import (
 )
 from ._faithfulness import contributions, measure_without
 from ._orders import OrderCurves, Orders, area, importances, order_curves
-from ._scenes import Scenes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -89,7 +88,8 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     renderer, metric, target
         As for ``IntegratedGradientsScene``.
     attribution
-        Contributions relative to the same baselines, ranked by magnitude; integrated gradients by default.
+        Contributions relative to the same baselines, ranked by magnitude; integrated gradients by default. The
+        scenes have the values for which they were made.
     baselines
         The values of deleted parameters, as for ``IntegratedGradientsScene``. Parameters that are already at their
         baselines are skipped.
@@ -112,8 +112,9 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     Raises
     ------
     SceneCaptumError
-        If the attribution is one of gradients or of groups, an order contains an unknown name, or fewer than two
-        parameters differ from their baselines.
+        If the attribution is one of gradients or of groups, was made for other baselines or another texture than
+        that of the renderer, an order contains an unknown name, or fewer than two parameters differ from their
+        baselines.
 
     References
     ----------
@@ -121,8 +122,9 @@ def deletion_insertion(  # noqa: PLR0913 -- the options of every check, and thre
     """
     renderer = with_checkpoint(renderer, checkpoint)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes(renderer, metric, target, **options)
-    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 2, **options)
+    attribution, scenes, deleted = contributions(
+        renderer, metric, attribution, target, baselines, 2, **options
+    )
     names = list(deleted)
     others = {name: importances(name, given, names, renderer) for name, given in (orders or {}).items()}
     moved = np.linspace(0, len(names), min(whole_number("steps", steps), len(names)) + 1).round().astype(int)

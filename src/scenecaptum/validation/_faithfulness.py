@@ -16,6 +16,7 @@ from ..attr import (
     Noise,
     SceneAttribution,
     VanillaSceneGradient,
+    describe_baselines,
     resolve_baselines,
 )
 from ..checkpoint import Folder, with_checkpoint
@@ -24,7 +25,7 @@ from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, derived_see
 from ..protocols import Renderer
 from ..visualization import metric_name
 from ._faithfulness_result import Infidelity, SensitivityN
-from ._scenes import Scenes, denoise_of
+from ._scenes import Scenes, denoise_of, values_of
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -60,7 +61,8 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     renderer, metric, target
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
-        Gradients per unit, plain or from SmoothGrad; plain gradients are computed by default.
+        Gradients per unit, plain or from SmoothGrad, at the values for which they were made; plain gradients are
+        computed by default.
     stdevs
         Standard deviation of the perturbations as a fraction of each parameter's range: a number, or a mapping
         from names, globs or kinds. Perturbed values are reflected at the bounds.
@@ -78,7 +80,8 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
     Raises
     ------
     SceneCaptumError
-        If the attribution is not one of gradients, or ``stdevs`` is invalid.
+        If the attribution is not one of gradients, or was made for another texture than that of the renderer, or
+        ``stdevs`` is invalid.
 
     References
     ----------
@@ -95,7 +98,14 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
             f"{attribution.info.get('method', 'this')}'s attributions. Use sensitivity_n for those."
         )
     count = whole_number("n_perturb_samples", n_perturb_samples, 3)
-    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(
+        renderer,
+        metric,
+        target,
+        **options,
+        denoise=denoise_of(attribution),
+        values=values_of(attribution, renderer),
+    )
     values = {name: scenes.values[name] for name in parameters_of(attribution, scenes.values)}
     predicted, deviations, measured = [], [], []
     for perturbed in perturbations(renderer, values, stdevs, count, seed):
@@ -182,8 +192,8 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     Raises
     ------
     SceneCaptumError
-        If the attribution is one of gradients or of groups, or fewer than three parameters differ from their
-        baselines.
+        If the attribution is one of gradients or of groups, was made for other baselines or another texture than
+        that of the renderer, or fewer than three parameters differ from their baselines.
 
     References
     ----------
@@ -193,8 +203,9 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
     renderer = with_checkpoint(renderer, checkpoint)
     whole_number("replicates", replicates, 3)
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes(renderer, metric, target, **options)
-    attribution, deleted = contributions(scenes, metric, attribution, target, baselines, 3, **options)
+    attribution, scenes, deleted = contributions(
+        renderer, metric, attribution, target, baselines, 3, **options
+    )
     sizes = _check_sizes(sizes, len(deleted))
     generator = random_generator(seed, Stream.SUBSETS)
     count = whole_number("subsets", subsets, 3)
@@ -217,19 +228,20 @@ def sensitivity_n(  # noqa: PLR0913 -- the options of every check, and three of 
 
 
 def contributions(
-    scenes: Scenes,
+    renderer: Renderer,
     metric: Metric,
     attribution: SceneAttribution | None,
     target: Target,
     baselines: Baselines,
     at_least: int,
     **options: Any,
-) -> tuple[SceneAttribution, dict[str, torch.Tensor]]:
-    """Return an attribution of contributions, and the baselines of the parameters that differ from them."""
+) -> tuple[SceneAttribution, Scenes, dict[str, torch.Tensor]]:
+    """Return contributions, the scenes that check them, and the baselines that differ from the values."""
     if attribution is None:
-        method = IntegratedGradientsScene(scenes.renderer, metric)
+        method = IntegratedGradientsScene(renderer, metric)
         attribution = method.attribute(target=target, baselines=baselines, **options)
-    names = parameters_of(attribution, scenes.values)
+    values = values_of(attribution, renderer)
+    names = parameters_of(attribution, values)
     if "quantity" in attribution.info and not attribution.kind.is_contribution:
         raise SceneCaptumError(
             f"{attribution.info['method']} returns a result of the kind {attribution.kind.value!r}, but this "
@@ -237,13 +249,30 @@ def contributions(
             "Pass those of IntegratedGradientsScene, ShapleyValueScene, FeatureAblationScene or "
             "InputXGradientScene."
         )
-    resolved = resolve_baselines(scenes.renderer, scenes.values, baselines)
-    deleted = {n: resolved[n] for n in names if not torch.equal(resolved[n], scenes.values[n])}
+    resolved = resolve_baselines(renderer, values, baselines)
+    _check_baselines(
+        attribution, names, describe_baselines(renderer, values, baselines, resolved)["baselines"]
+    )
+    deleted = {n: resolved[n] for n in names if not torch.equal(resolved[n], values[n])}
     if len(deleted) < at_least:
         raise SceneCaptumError(
             f"At least {at_least} parameters must differ from their baselines, not {len(deleted)}."
         )
-    return attribution, deleted
+    return attribution, Scenes(renderer, metric, target, **options, values=values), deleted
+
+
+def _check_baselines(attribution: SceneAttribution, names: Sequence[str], own: Mapping[str, str]) -> None:
+    """Raise if the attribution is relative to other baselines than ``own``, those of the check in words."""
+    theirs = attribution.info.get("baselines")
+    if not isinstance(theirs, Mapping):  # of several baselines, or of a method without any
+        return
+    others = [name for name in names if theirs.get(name, own[name]) != own[name]]
+    if others:
+        more = f" ({len(others) - 1} more differ)" if len(others) > 1 else ""
+        raise SceneCaptumError(
+            f"The attribution compares {others[0]!r} with the baseline {theirs[others[0]]}, and this check with "
+            f"{own[others[0]]}{more}. Give the check the baselines= with which the attribution was made."
+        )
 
 
 def measure_without(scenes: Scenes, baselines: Tensors, names: Sequence[str]) -> torch.Tensor:

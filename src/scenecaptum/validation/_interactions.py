@@ -36,7 +36,7 @@ from ..visualization import (
     wrapped_lines,
 )
 from ._hessian import max_steps, product_of
-from ._scenes import Scenes, denoise_of, is_plain_gradient, unit_gradient
+from ._scenes import Scenes, denoise_of, is_plain_gradient, unit_gradient, values_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -87,7 +87,8 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     renderer, metric, target
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
-        The plain gradients that give the ranking and the directions; computed by default.
+        The plain gradients that give the ranking and the directions, at the values for which they were made;
+        computed by default.
     top
         Number of parameters. Each costs the gradients of four scenes, with the samples of ``VanillaSceneGradient``
         for each, and before these two to four renders of each replicate for every length of the step that is
@@ -108,7 +109,8 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
     Raises
     ------
     SceneCaptumError
-        If the attribution is not one of plain gradients, or all gradients are 0.
+        If the attribution is not one of plain gradients, all gradients are 0, or it was made for another texture
+        than that of the renderer.
     """
     renderer = with_checkpoint(renderer, checkpoint)
     if scale not in ("unit", "range"):
@@ -120,7 +122,14 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         )
     if not is_plain_gradient(attribution):
         raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
-    scenes = Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution))
+    scenes = Scenes(
+        renderer,
+        metric,
+        target,
+        **options,
+        denoise=denoise_of(attribution),
+        values=values_of(attribution, renderer),
+    )
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     uphill = {
         row.name: unit_gradient(attribution.with_derivative(row.name), scenes.values[row.name])

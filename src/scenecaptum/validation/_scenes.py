@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 
 import torch
 
-from ..attr import SceneAttribution
-from ..errors import whole_number
+from ..attr import SceneAttribution, summarize
+from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     Denoise,
     Metric,
@@ -119,6 +119,27 @@ class Scenes:
             return torch.tensor(metric.value(images[kept].mean(0)), dtype=torch.float64)
 
         return pseudo_values(value, len(images))
+
+
+def values_of(attribution: SceneAttribution, renderer: Renderer) -> dict[str, torch.Tensor]:
+    """Return the inputs of the renderer with the values at which an attribution was made.
+
+    Raises if these are not known: results have only the mean of a texture.
+    """
+    values = input_values(renderer, None)
+    own = summarize({name: value.cpu() for name, value in values.items()})
+    for name, given in attribution.parameter_values.items():
+        # The mean over many texels is rounded.
+        if name not in own or torch.allclose(given, own[name], rtol=1e-5, atol=0):
+            continue
+        if given.shape != values[name].shape:
+            raise SceneCaptumError(
+                f"The attribution was made for another {name!r} than that of the renderer, and results have only "
+                "the mean of a texture. Create a renderer of the scene with this texture, and attribute its own "
+                "inputs."
+            )
+        values[name] = given.to(values[name])
+    return values
 
 
 def denoise_of(attribution: SceneAttribution) -> Denoise:
