@@ -18,6 +18,7 @@ from study_metrics import brightness, broken
 
 from scenecaptum import SceneCaptumError, SceneRenderer, VanillaSceneGradient, View, cli
 from scenecaptum.studies import Cell, Study, StudyResult
+from scenecaptum.studies._recipe import digest_of_scene
 
 from .conftest import TINY, VALUE, value_study
 
@@ -272,8 +273,15 @@ def test_folders_that_cannot_be_written(run: Run, tmp_path: Path) -> None:
         assert "cannot be written" in message(lambda folder=folder: run(value_study(), folder))
 
 
-def test_scene_dicts_reach_the_worker_with_their_transforms(run: Run, mi: Any, tmp_path: Path) -> None:
+def test_scene_dicts_reach_the_worker_with_transforms_and_textures(run: Run, mi: Any, tmp_path: Path) -> None:
     transform = mi.ScalarTransform4f
+    texels = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(shifted())).numpy()
+
+    def wall(side: float, **texture: Any) -> dict[str, Any]:
+        bitmap = {"type": "bitmap", "raw": True, **texture}
+        placed = transform().translate([side, 0, 0]).scale(0.5).rotate([1, 0, 0], 90)
+        return {"type": "rectangle", "to_world": placed, "bsdf": {"type": "diffuse", "reflectance": bitmap}}
+
     scene = {
         "type": "scene",
         "camera": {
@@ -288,6 +296,8 @@ def test_scene_dicts_reach_the_worker_with_their_transforms(run: Run, mi: Any, t
                 "reflectance": {"type": "rgb", "value": mi.ScalarColor3f(0.5, 0.2, 0.1)},
             },
         },
+        "left": wall(-1, data=mi.TensorXf(texels)),
+        "right": wall(1, bitmap=mi.Bitmap(texels)),
         "sky": {"type": "constant"},
     }
     many = {"method": "value", "replicates": 16, "spp": 64}
@@ -296,9 +306,17 @@ def test_scene_dicts_reach_the_worker_with_their_transforms(run: Run, mi: Any, t
     image = SceneRenderer(scene, resolution=(8, 8), spp=4096, max_depth=2)(seed=shifted(1))
     found = result.numbers(cell)
     assert abs(found["value"] - image.mean().item()) < 4 * found["standard_error"]
-    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(torch.zeros(2, 2, 3).numpy())}
-    text = message(lambda: Study({"ball": {**scene, "wall": bitmap}}))
-    assert "'bitmap' of the scene dict is a Bitmap, which cannot be sent" in text
+    text = message(lambda: Study({"ball": {**scene, "paint": mi.load_dict({"type": "diffuse"})}}))
+    assert "'paint' of the scene dict is a BSDF, which cannot be sent" in text
+
+
+def test_scenes_whose_textures_differ_in_few_texels_have_keys_of_their_own(mi: Any) -> None:
+    texels = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(shifted())).numpy()
+    changed = texels.copy()
+    changed[30, 30] = 0.0
+    for kind in (mi.TensorXf, mi.Bitmap):
+        scenes = [{"type": "scene", "paint": {"type": "bitmap", "data": kind(t)}} for t in (texels, changed)]
+        assert len({digest_of_scene(scene) for scene in (*scenes, *scenes)}) == 2
 
 
 def test_designs_change_what_their_globs_match(run: Run, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ from ..backend import activate, at_least_two_threads
 from ..errors import SceneCaptumError, near_misses
 from ._files import Placeholders, check_dict, check_referenced_files, check_xml, is_file
 from ._naming import name_nodes, name_objects, without_addresses
+from ._portable import picture_of
 from .bundled import BUNDLED
 
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
@@ -114,6 +115,8 @@ def _hashable(value: Any) -> Any:
         return [_hashable(item) for item in value]
     if isinstance(value, np.ndarray):
         return value
+    if (picture := picture_of(value)) is not None:  # printed, most of its numbers are left out
+        return [picture.array, picture.pixel_format, picture.srgb_gamma]
     try:
         return without_addresses(str(value))
     except RuntimeError:  # Dr.Jit cannot print an array with an inconsistent shape

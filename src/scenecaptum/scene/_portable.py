@@ -21,6 +21,26 @@ class _Matrix:
     rows: list[list[float]]
 
 
+@dataclass(frozen=True, eq=False)
+class _Picture:
+    """A tensor or a bitmap of a Mitsuba dict, as NumPy array."""
+
+    array: np.ndarray[Any, Any]
+    # Of a bitmap only: the name of its pixel format, and whether it is sRGB encoded.
+    pixel_format: str = ""
+    srgb_gamma: bool = False
+
+
+def picture_of(value: Any) -> _Picture | None:
+    """Return a tensor or a bitmap of Mitsuba as NumPy array; None for anything else."""
+    kind = type(value)
+    if kind.__module__.startswith("mitsuba") and kind.__name__ == "Bitmap":
+        return _Picture(np.array(value), value.pixel_format().name, value.srgb_gamma())
+    if kind.__module__.startswith("drjit") and kind.__name__.startswith("Tensor"):
+        return _Picture(np.array(value))
+    return None
+
+
 def portable(scene: Any) -> Any:
     """Return a scene that can be pickled: an absolute path, a bundled name, or a dict of plain values.
 
@@ -56,11 +76,13 @@ def _portable(value: Any, name: str) -> Any:
         return [_portable(item, name) for item in value]
     if type(value).__name__.endswith("Transform4f"):
         return _Matrix(np.array(value.matrix, dtype=float).reshape(4, 4).tolist())
+    if (picture := picture_of(value)) is not None:
+        return picture
     if type(value).__module__.startswith(("mitsuba", "drjit")) and hasattr(value, "__len__"):
         return [float(number) for number in value]  # a colour or a point
     raise SceneCaptumError(
         f"{name!r} of the scene dict is a {type(value).__name__}, which cannot be sent to other processes. Use "
-        "numbers, lists, arrays, strings and transforms, or a scene file."
+        "numbers, lists, strings, transforms, tensors and bitmaps, or a scene file."
     )
 
 
@@ -68,8 +90,16 @@ def restored(scene: Any) -> Any:
     """Return a scene of ``portable`` as it was before, under an active variant."""
     if isinstance(scene, Mapping):
         return {name: restored(value) for name, value in scene.items()}
-    if not isinstance(scene, _Matrix):
+    if isinstance(scene, list):
+        return [restored(value) for value in scene]
+    if not isinstance(scene, _Matrix | _Picture):
         return scene
     import mitsuba as mi
 
-    return mi.ScalarTransform4f(scene.rows)
+    if isinstance(scene, _Matrix):
+        return mi.ScalarTransform4f(scene.rows)
+    if not scene.pixel_format:
+        return mi.TensorXf(scene.array)
+    bitmap = mi.Bitmap(scene.array, getattr(mi.Bitmap.PixelFormat, scene.pixel_format))
+    bitmap.set_srgb_gamma(scene.srgb_gamma)
+    return bitmap
