@@ -54,6 +54,18 @@ def test_only_the_quoted_value_is_too_close_to_a_limit():
     assert near.rating().endswith("too close to 19 to be sure")
 
 
+def test_contributions_say_what_they_are_compared_with_and_whether_they_add_up():
+    def notes(convergence: str) -> list[str]:
+        info = {"convergence": convergence, "explained": 4.0, "compared_with": "wall 0.9"}
+        found = dataclasses.replace(results.make(**info), convergence_delta=-0.1, convergence_delta_error=0.5)
+        return next(iter(lines(Explanation(found)).values()))[-2:]
+
+    delta = "inconclusive whether the effects add up: delta −0.1 ± 0.5 of 4.0, mostly noise: use more samples"
+    assert notes("inconclusive") == [delta, "compared with: wall 0.9"]
+    assert "add" not in notes("adds up")[0]
+    assert notes("adds up")[1] == "compared with: wall 0.9"
+
+
 def test_a_value_that_may_be_in_several_classes_has_its_range():
     wide = Explanation(rated(17.2, 0.04), definition=Definition(20.1, "within 22", error=2.5))
     assert wide.rating().endswith("too uncertain to be sure: 15.1 to 25.1 within two errors")

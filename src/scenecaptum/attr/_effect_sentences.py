@@ -14,8 +14,10 @@ from ..scene import pose_component
 from ..student import clear_from
 from ..visualization import (
     advised,
+    baseline_notes,
     caution_groups,
     caution_marks,
+    convergence_notes,
     gradient_advice,
     jump_notes,
     pluralize,
@@ -89,7 +91,13 @@ class EffectSentences:
         ]
         above, below = self._larger_lines(unclear, abs(stated[0].effect))
         between = self._between_lines(unclear, stated)
-        return [*above, *lines, *between, *below, *legend, *unit_notes(self.attribution, stated), *jumps]
+        notes = [*legend, *unit_notes(self.attribution, stated), *self._contribution_notes(), *jumps]
+        return [*above, *lines, *between, *below, *notes]
+
+    def _contribution_notes(self) -> list[str]:
+        """Say what contributions are compared with, and if they do not add up or this is inconclusive."""
+        adds_up = self.attribution.info.get("convergence") == "adds up"
+        return [*([] if adds_up else convergence_notes(self.attribution)), *baseline_notes(self.attribution)]
 
     def _jump_lines(self, stated: Sequence[str]) -> list[str]:
         """Say which poses have no derivative, also of those that are stated in some directions, and why."""
