@@ -324,7 +324,7 @@ def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_
         "86 times the samples would tell"  # twice Student's t at 5 % / 21, 4.64, squared
     )
     assert effects_of(Explanation(found))[0] == (
-        "the largest effect is uncertain: other (+0.040 ± 0.020) may exceed those below"
+        "which effect is largest is uncertain: other (+0.040 ± 0.020) may exceed those below"
     )
 
 
@@ -364,7 +364,7 @@ def test_a_large_effect_with_a_clear_sign_is_stated_beside_a_small_one_that_is_e
     small = {f"noise{index}": (1e-5, 1e-3) for index in range(60)}
     found = with_errors({"sun": (0.056, 0.030), "floor": (-0.034, 0.007), "metal": (-0.002, 0.0003), **small})
     first, floor, metal = effects_of(Explanation(found))
-    assert first == "the largest effect is uncertain: sun (+0.056 ± 0.030) may exceed those below"
+    assert first == "which effect is largest is uncertain: sun (+0.056 ± 0.030) may exceed those below"
     assert floor == "floor: −0.034 ± 0.007 (sign clear, size uncertain)"
     assert metal == "metal: −0.00200 ± 0.00030"
 
@@ -396,7 +396,7 @@ def test_only_an_effect_that_is_larger_by_its_value_is_called_the_largest_one():
     # The one that is named is the largest one, not the one with the largest error.
     larger = with_errors(inputs | {"lamp": (130.0, 70.0), "wall": (5.0, 150.0)})
     assert effects_of(Explanation(larger))[0] == (
-        "the largest effect is uncertain: lamp (+130 ± 70) and 2 others may exceed those below"
+        "which effect is largest is uncertain: lamp (+130 ± 70) and 2 others may exceed those below"
     )
 
 
@@ -432,7 +432,7 @@ def test_an_effect_that_a_render_confirms_is_no_noise():
     assert (effects, is_noise) == (["lamp: +0.100 ± 0.010"], False)
     effects, is_noise = said(-0.03)
     assert (effects[1:], is_noise) == (["lamp: +0.100 ± 0.010"], True)
-    assert effects[0].startswith("the largest effect is uncertain: wall (−3.0 ± 1.4)")
+    assert effects[0].startswith("which effect is largest is uncertain: wall (−3.0 ± 1.4)")
 
 
 def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():

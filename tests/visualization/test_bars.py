@@ -158,7 +158,7 @@ def test_a_clear_effect_with_a_mark_is_not_called_uncertain() -> None:
     result = of_values(METAL, ("desk.reflectance", 1.0, 0.5), ("wall.reflectance", 0.8, 0.5))
     covariance = {**result.covariance, "wall.reflectance": torch.tensor([[2.0**2]])}
     said = finding(dataclasses.replace(result, covariance=covariance))
-    aside = "effects marked ~ aside, the largest is uncertain"
+    aside = "effects marked ~ aside, which is largest is uncertain"
     assert said == f"Glare: {aside}; the error of wall.reflectance is too large"
 
 

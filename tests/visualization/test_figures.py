@@ -256,7 +256,7 @@ def test_titles_do_not_conclude_where_an_effect_lost_in_the_noise_may_be_the_lar
     ):
         covariance[row.name] = 1e6 * covariance[row.name]
         found = finding(dataclasses.replace(make(), covariance=covariance))
-        assert found == f"Glare: the largest effect is uncertain; {said}"
+        assert found == f"Glare: which effect is largest is uncertain; {said}"
 
 
 def test_a_render_is_denoised_where_the_metric_image_was() -> None:

@@ -152,7 +152,7 @@ class EffectSentences:
         more = f" and {pluralize(len(others), 'other')}" if others else ""
         named = f"{self._named(first)}{more}"
         if is_largest:
-            return [f"the largest effect is uncertain: {named} may exceed those below"], []
+            return [f"which effect is largest is uncertain: {named} may exceed those below"], []
         return [], [f"also uncertain: {named} may exceed those above"]
 
     def _between_lines(

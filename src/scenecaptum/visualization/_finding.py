@@ -51,9 +51,9 @@ def finding(
         row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
     ]
     if noisy:
-        largest = "the largest effect is uncertain"
+        largest = "which effect is largest is uncertain"
         if first is not ranking[0]:
-            largest = "effects marked ~ aside, the largest is uncertain"
+            largest = "effects marked ~ aside, which is largest is uncertain"
         return f"{metric}: {largest}; {_too_large(noisy, allowed)}"
     tied = [row for row in others if not _are_apart(first, row, allowed)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
