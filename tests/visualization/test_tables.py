@@ -272,13 +272,11 @@ def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alon
         )
 
     note = (
-        "~ the error of this roughness is large among many inputs: metal.alpha.value; it is smaller if you "
+        "~ the error of this roughness is large among many inputs: metal.alpha.value; it is often smaller if you "
         "select it alone"
     )
     assert note in " ".join(text(1.0).split())
-    several = (
-        "these roughnesses are large among many inputs: metal.alpha.value; floor; they are smaller if you"
-    )
+    several = "these roughnesses are large among many inputs: metal.alpha.value; floor; they are often smaller if you"
     assert several in " ".join(text(1.0, noisy=["metal.alpha.value", "floor"]).split())
     assert "alone" not in text(0.1), "its error is small enough"
     assert "alone" not in text(1.0, quantity="effect of ablation"), "no gradient is taken"

@@ -53,7 +53,8 @@ class RenderPlan:
         value in the scene that is not finite or not physical.
     noisy_roughness
         The inputs of low roughness that are differentiated by path replay, because light tracing would take
-        samples from the others. Attributed alone they are light traced; lit by lamps, they have smaller errors.
+        samples from the others. Attributed alone they are light traced; lit by lamps, they often have smaller
+        errors, but not where the light passes through glass.
     scene_depth
         The depth that the scene's own integrator sets, -1 for no limit; None where it sets none.
     memory
@@ -191,7 +192,7 @@ def make_plan(
     noisy = _noisy_roughness(graph, routes, sensors) if integrator.light_tracing and not hide_emitters else ()
     if noisy:
         reasons[f"{len(noisy)} of low roughness among others"] = (
-            "as the only input, each has a smaller error, because lamps light it"
+            "as the only input, each often has a smaller error, because lamps light it"
         )
     cautions = (
         *(

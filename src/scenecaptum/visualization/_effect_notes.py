@@ -1,4 +1,4 @@
-"""Notes on effects that may be read for something else, or that would have smaller errors alone."""
+"""Notes on effects that may be read for something else, or that may have smaller errors alone."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOTABLE = 0.1  # of the largest effect
 def range_notes(
     attribution: Attribution, scale: Scale | None = None, among: Collection[str] | None = None
 ) -> dict[str, list[str]]:
-    """Return notes on effects that may be read for something else, or that would have smaller errors alone.
+    """Return notes on effects that may be read for something else, or that may have smaller errors alone.
 
     Each has the parameters that it is about. ``among`` are the parameters that are shown, by default all.
     """
@@ -60,9 +60,9 @@ def _alone_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, li
         return {}
     # Alone, its paths are sampled so that they find the lamps, which those of many inputs do not.
     large, alone = (
-        ("the error of this roughness is large", "it is smaller if you select it alone")
+        ("the error of this roughness is large", "it is often smaller if you select it alone")
         if len(noisy) == 1
-        else ("the errors of these roughnesses are large", "they are smaller if you select each alone")
+        else ("the errors of these roughnesses are large", "they are often smaller if you select each alone")
     )
     return {advised(f"{large} among many inputs: {_named(attribution, noisy)}", alone): noisy}
 
