@@ -7,10 +7,12 @@ miss were marked. Then it prints for all parameters: how many are covered in les
 many of these at least 80 % of the misses are marked, and how often a parameter that is covered in 90 % or more is
 marked nevertheless. Brackets have the same numbers without the pilot, where a replicate with nearly all of the
 spread is the only reason for a mark. On the Cornell box, the default, the reference must be five times as precise
-as the error bars.
+as the error bars. Spatial daylight autonomy is that of a sensor grid, in a room with a sky.
 
     python benchmarks/interval_coverage.py [--repeats 200] [--spp 64] [--method vanilla|integrated]
         [--scene cornell-box|office|hall|PATH] [--resolution 48x27] [--reference 32768] [--inputs reflectance …]
+    python benchmarks/interval_coverage.py --scene classroom --metric "spatial daylight autonomy"
+        --inputs reflectance opacity [--repeats 30] [--reference 1024]
 """
 
 from __future__ import annotations
@@ -29,14 +31,17 @@ from scenecaptum import (
     IntegratedGradientsScene,
     SceneAttribution,
     SceneRenderer,
+    SensorGrid,
     VanillaSceneGradient,
     activate,
     metrics,
 )
+from scenecaptum.daylight import SkyMatrix, SkyPatches, SpatialDaylightAutonomy, synthetic_weather
 from scenecaptum.estimation import channel_totals, student_t
 
 RESOLUTION, DEPTH, REFERENCE = 24, 4, 32768
-SPP = {"mean luminance": 64, "unified glare rating": 256}
+SDA = "spatial daylight autonomy"
+SPP = {"mean luminance": 64, "unified glare rating": 256, SDA: 64}
 PRECISE = 0.2  # largest error of the reference, relative to the error bar
 RESOLVED = 4.0  # standard errors of the reference above which a value counts as resolved
 COVERED, MARKED, WELL = 0.85, 0.8, 0.9
@@ -64,7 +69,16 @@ def room(scene: str, resolution: str, inputs: list[str]) -> SceneRenderer:
     return SceneRenderer(source, inputs, resolution=(width, height), max_depth=6)
 
 
+def daylit(scene: str, inputs: list[str]) -> SceneRenderer:
+    """Return a renderer of the daylight coefficients of a room's sensor grid."""
+    return SceneRenderer(scene, inputs, sensor=SensorGrid(), sky_patches=SkyPatches.tregenza())
+
+
 def rated(renderer: SceneRenderer) -> Mapping[str, torch.nn.Module]:
+    if renderer.sky_patches is not None:
+        return {
+            SDA: SpatialDaylightAutonomy(SkyMatrix.from_weather(synthetic_weather(), renderer.sky_patches))
+        }
     return {
         "mean luminance": metrics.MeanLuminance(),
         "unified glare rating": metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5.0),
@@ -192,7 +206,12 @@ def main() -> None:
     parser.add_argument("--inputs", nargs="+", default=["all"])
     parser.add_argument("--metric", choices=SPP, help="only this metric")
     options = parser.parse_args()
-    renderer = room(options.scene, options.resolution, options.inputs) if options.scene else box()
+    if options.metric == SDA:
+        if options.scene is None:
+            parser.error(f"--metric {SDA!r} needs a --scene with a sky, such as classroom")
+        renderer = daylit(options.scene, options.inputs)
+    else:
+        renderer = room(options.scene, options.resolution, options.inputs) if options.scene else box()
     size = "×".join(map(str, renderer.resolution))
     print(f"{options.scene or 'cornell-box'} {size}, {options.repeats} repeats, {options.method}")
     for name, metric in rated(renderer).items():

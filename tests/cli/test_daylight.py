@@ -124,7 +124,9 @@ def test_a_missing_sky_is_an_error_without_a_warning(
     recwarn: pytest.WarningsRecorder, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(shlex.split("daylight office --spacing 0.2")) == 2
-    assert "Daylight coefficients need a sky" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert "Daylight coefficients need a sky" in error
+    assert "its `sky` is an area light, not a constant emitter" in error
     assert not [str(one.message) for one in recwarn if "inside objects" in str(one.message)]
 
 

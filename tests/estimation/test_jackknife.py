@@ -6,10 +6,11 @@ import math
 
 import pytest
 import torch
-from chance import allowed
+from chance import allowed, check_error_bars
 from seeds import seeds, shifted
 from toy import ToyRenderer, log_mean
 
+from scenecaptum.daylight import SkyMatrix, SpatialDaylightAutonomy
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.estimation._jackknife import _shrinkage, jackknife
 from scenecaptum.estimation._weighted_means import orthogonal_directions
@@ -103,3 +104,33 @@ def test_bias_of_the_metric_matches_the_delta_method():
     expected = -means.var() / means.mean() ** 2 / 2 / 8
     z = (biases.mean() - expected) / (biases.std() / math.sqrt(repeats))
     assert abs(z) < allowed(repeats), f"mean estimate {biases.mean():.2e}, not {expected:.2e}, z = {z:.1f}"
+
+
+def test_error_bars_hold_for_a_share_of_points_of_which_few_are_near_the_limit():
+    """Of the derivatives by the radiance of the whole sky, and of a third of its patches."""
+    generator = torch.Generator().manual_seed(shifted(3))
+    levels = torch.linspace(0.2, 2.0, 12).exp()[:, None, None]
+    brightness = 10 ** torch.rand(1, 12, 1, generator=generator)
+    sky = SkyMatrix.from_radiance(brightness * torch.rand(146, 12, 3, generator=generator))
+    metric = TargetedMetric(SpatialDaylightAutonomy(sky, 110_000.0, during="all"))
+    third = (torch.arange(146) % 3 == 0).float()[:, None].expand(146, 3)
+    directions = torch.stack([torch.ones(146, 3), third], -1).double()
+
+    def coefficients() -> torch.Tensor:
+        """Return those of eight replicates; all patches of a point share its paths."""
+        paths = torch.rand(8, 12, 1, 1, generator=generator).clamp_min(1e-6).log()
+        patches = torch.rand(8, 12, 146, 1, generator=generator).clamp_min(1e-6).log()
+        return (levels * (0.75 + 0.25 * paths * patches)).expand(8, 12, 146, 3)
+
+    runs = torch.stack(
+        [
+            torch.einsum(
+                "rpsc,rpsc,sck->rk",
+                torch.stack(jackknife(metric, list(coefficients())).per_replicate).double(),
+                coefficients().double(),
+                directions,
+            )
+            for _ in range(30)
+        ]
+    )
+    check_error_bars(runs.mean(1), runs.std(1) / math.sqrt(8))

@@ -284,8 +284,12 @@ def test_what_coefficients_need_is_one_clear_line(mi: Any) -> None:
     with pytest.raises(SceneCaptumError, match="direct_sky=True needs sky_patches="):
         SceneRenderer(scene, "reflectance", sensor=GRID, direct_sky=True)
     without = {name: part for name, part in scene.items() if name != "sky"}
-    with pytest.raises(SceneCaptumError, match="need a sky, and the scene has none"):
+    with pytest.raises(SceneCaptumError, match="need a sky, and the scene has none: add a constant emitter"):
         SceneRenderer(without, "reflectance", sensor=GRID, sky_patches=PATCHES)
+    lamp = {"type": "rectangle", "emitter": {"type": "area"}}
+    message = r"scene has none \(its `Skylight` is an area light, not a constant emitter\): add"
+    with pytest.raises(SceneCaptumError, match=message):
+        SceneRenderer({**without, "Skylight": lamp}, "reflectance", sensor=GRID, sky_patches=PATCHES)
     sun = {"type": "sunsky", "turbidity": 3.0, "sun_direction": [0, 0, 1]}
     with pytest.raises(
         SceneCaptumError,

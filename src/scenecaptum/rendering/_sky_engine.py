@@ -114,8 +114,8 @@ def sky_of(scene: Any, parameters: SceneParameters) -> str:
     sky = scene.environment()
     if sky is None:
         raise SceneCaptumError(
-            "Daylight coefficients need a sky, and the scene has none: add a constant emitter to it, such as "
-            '"sky": {"type": "constant"}, in XML <emitter type="constant"/>.'
+            f"Daylight coefficients need a sky, and the scene has none{_so_called(parameters)}: add a constant "
+            'emitter to it, {"type": "constant"}, in XML <emitter type="constant"/>.'
         )
     if sky.class_name() != "ConstantBackgroundEmitter":
         raise SceneCaptumError(
@@ -126,3 +126,13 @@ def sky_of(scene: Any, parameters: SceneParameters) -> str:
     return next(
         name for name, one in parameters.items() if one.plugin == sky.class_name() and one.role == "radiance"
     )
+
+
+def _so_called(parameters: SceneParameters) -> str:
+    """Return that an emitter with such a name is none, for a scene without an environment."""
+    for one in parameters.values():
+        name = one.owners[0] if one.owners else ""
+        if one.kind == "emitters" and "sky" in name.lower():
+            kind = "an area light" if one.plugin == "AreaLight" else "another emitter"
+            return f" (its `{name}` is {kind}, not a constant emitter)"
+    return ""
