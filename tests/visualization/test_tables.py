@@ -276,7 +276,9 @@ def test_table_says_that_a_low_roughness_lost_in_noise_is_better_attributed_alon
         "select it alone"
     )
     assert note in " ".join(text(1.0).split())
-    several = "these roughnesses are large among many inputs: metal.alpha.value; floor; they are often smaller if you"
+    several = (
+        "these roughnesses are large among many inputs: metal.alpha.value; floor; they are often smaller if"
+    )
     assert several in " ".join(text(1.0, noisy=["metal.alpha.value", "floor"]).split())
     assert "alone" not in text(0.1), "its error is small enough"
     assert "alone" not in text(1.0, quantity="effect of ablation"), "no gradient is taken"
