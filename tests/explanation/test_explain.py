@@ -81,6 +81,37 @@ def test_an_explanation_says_why_no_change_is_proposed():
     assert unknown == "no change is proposed: without error bars no effect is known to be clear of its noise"
 
 
+def test_only_moves_along_the_floor_and_turns_about_the_vertical_are_said_to_be_unclear():
+    poses = [f"short_box_shape.pose.{component}" for component in ("translation", "rotation")]
+    wall, size = "short_box.reflectance.value", "short_box_shape.pose.scale"
+    renderer = SceneRenderer("cornell-box", [*poses, wall, size], resolution=(8, 8), spp=8, max_depth=2)
+    found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())
+    lifted = torch.eye(3)[renderer.up]
+    effects = {poses[0]: lifted, poses[1]: torch.ones(3) - lifted}
+
+    def why(*names: str, clear: str = "") -> str:
+        chosen = {**effects, wall: torch.zeros(3), size: torch.zeros(())}
+        return why_none(
+            dataclasses.replace(
+                found,
+                attributions={name: chosen[name] + float(name == clear) for name in names},
+                covariance={name: 1e-3 * torch.eye(chosen[name].numel()) for name in names},
+                info={**found.info, "jumps": {}, "kept_directions": {}},
+            )
+        ).removeprefix("no change is proposed: ")
+
+    noisy = "has a predicted effect that is clear of its noise"
+    move, turn = "no move along the floor", "no turn about the vertical"
+    assert why(*poses) == f"{move} and {turn} {noisy}"
+    assert why(poses[0]) == f"{move} {noisy}"
+    assert why(poses[1]) == f"{turn} {noisy}"
+    assert why(*poses, wall) == f"{move}, {turn} and no change of another parameter {noisy}"
+    assert why(wall, size) == f"no single one {noisy}"
+    fixed = "what has a clear effect is part of the construction, off, or as far as it can go"
+    assert why(poses[0], wall, clear=wall) == f"{fixed}, and {move} {noisy}"
+    assert why(wall, clear=wall) == fixed
+
+
 def test_no_change_is_proposed_where_nothing_counts_as_a_glare_source():
     renderer = SceneRenderer("cornell-box", "all", resolution=(8, 8), spp=8, max_depth=2)
     dim = metrics.UnifiedGlareRating(renderer.camera, threshold=1e9)

@@ -15,13 +15,14 @@ import torch
 
 from ..checkpoint import without_checkpoint
 from ..errors import SceneCaptumError
-from ..estimation import Adjoints, GradientSum, scaled
+from ..estimation import Adjoints, GradientSum, TargetedMetric, scaled
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer, ResultKind, Scale
 from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Ranked, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
+from ._nonlinear_poses import NonlinearPoses, nonlinear_poses
 from ._ranges import extents, lights_off, unit_ranges
 from ._steps import StepErrors, local_poses, step_errors
 from ._storage import read_file, write_file
@@ -48,7 +49,8 @@ class SceneAttribution(AttributionData):
         over the replicates with ``bias`` and ``quadrature_error``.
     bias
         Estimated first-order bias of each gradient, due to the noise of the metric image (for non-linear metrics),
-        to its denoising, and to the steps of the finite differences of poses. None with fewer than two replicates.
+        to its denoising, to the steps of the finite differences of poses, and to what the metric does beyond first
+        order over their ranges. None with fewer than two replicates.
     quadrature_error
         For path integrals, a ``(C,)`` tensor for each parameter: the quadrature error of its channel totals,
         estimated from the same points. None for other methods.
@@ -293,6 +295,7 @@ def make_attribution(
     gradients: GradientSum,
     adjoints: Adjoints,
     *,
+    metric: TargetedMetric,
     values: Tensors,
     image: torch.Tensor,
     info: dict[str, Any],
@@ -310,7 +313,7 @@ def make_attribution(
     bias = (
         None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
-    steps, local = StepErrors(), list[str]()
+    steps, local, nonlinear = StepErrors(), list[str](), NonlinearPoses()
     are_gradients = info.get("quantity") in (ResultKind.GRADIENT, ResultKind.MEAN_GRADIENT)
     if has_errors and bias is not None and info.get("spp") and are_gradients:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
@@ -320,6 +323,21 @@ def make_attribution(
         bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
         errors = {name: _error(gradients, name, bias[name]) for name in names}
         local = local_poses(renderer, mean, errors, values, adjoint, samples, info["seed"])
+        if not adjoints.is_linear and info["quantity"] == ResultKind.GRADIENT:
+            nonlinear = nonlinear_poses(
+                renderer,
+                metric,
+                values,
+                image=image,
+                adjoints=adjoints.per_replicate,
+                gradients=mean,
+                errors=errors,
+                steps=steps,
+                samples=samples,
+                seed=info["seed"],
+            )
+            # Of the sign of the gradient: an error along its direction, of which no part cancels another.
+            bias |= {n: bias[n].hypot(error).copysign(error) for n, error in nonlinear.errors.items()}
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
         standard_error={n: _error(gradients, n, None if bias is None else bias[n]) for n in names}
@@ -344,6 +362,7 @@ def make_attribution(
             "seen_through": seen_through(renderer, surfaces, names, values),
             "jumps": steps.jumps,
             "local": local,
+            "nonlinear": nonlinear.marked,
             "unit_ranges": unit_ranges(renderer, values),
             "lights_off": lights_off(renderer, values),
             "linear_in_light": adjoints.bias_adjoint is None,

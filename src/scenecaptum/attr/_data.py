@@ -199,10 +199,12 @@ class AttributionData(Mapping[str, torch.Tensor]):
         if self.covariance is None:
             return vector.norm().item(), 0.0
         covariance = self.covariance[name].double() * factors.double()[:, None] * factors.double()
-        noise = covariance.diagonal().sum()
+        total = noise = covariance.diagonal().sum()
+        if self.bias is not None:  # an error, but one that does not change from run to run
+            noise = (total - (channel_totals(self.bias[name]) * factors).double().square().sum()).clamp_min(0)
         length = (vector.square().sum() - noise).clamp_min(0).sqrt().item()
         if length**2 < CLEARLY_TURNED**2 * noise:
-            return length, noise.sqrt().item()
+            return length, total.sqrt().item()
         return length, _norm_error(vector, covariance)
 
     def saliency(self, scale: Scale | None = None) -> dict[str, float]:

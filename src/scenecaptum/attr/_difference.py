@@ -154,6 +154,8 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info["linear_in_light"] = all(side.info.get("linear_in_light") for side in (a, b))
     own = [*a.info.get("own_ranges", ()), *b.info.get("own_ranges", ())]
     info["own_ranges"] = list(dict.fromkeys(own))
+    for key in ("local", "nonlinear"):
+        info[key] = list(dict.fromkeys([*a.info.get(key, ()), *b.info.get(key, ())]))
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)

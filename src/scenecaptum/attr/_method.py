@@ -305,6 +305,7 @@ class Run:
             self.renderer,
             total,
             adjoints,
+            metric=evaluation.metric,
             values=self.values,
             image=evaluation.image,
             info={

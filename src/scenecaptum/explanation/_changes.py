@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 
@@ -21,6 +21,8 @@ STEP = 0.1  # of a bounded range
 DIMMING = 0.25  # of an unbounded value, such as a radiance
 MIN_STEP = 0.02  # of a range: a shorter step to a bound is no proposal
 SIGNIFICANT = 2.0  # standard errors
+# Of objects, which stay upright.
+CHANGES_OF_POSES = {"translation": "move along the floor", "rotation": "turn about the vertical"}
 
 
 def propose(
@@ -74,11 +76,30 @@ def why_none(attribution: SceneAttribution) -> str:
         why = "every predicted effect is 0"
     elif attribution.covariance is None:
         why = "without error bars no effect is known to be clear of its noise"
-    elif any(_is_clear(row) and row.name not in attribution.vectors for row in ranking):
-        why = "what has a clear effect is part of the construction, off, or as far as it can go"
     else:
-        why = "no single one has a predicted effect that is clear of its noise"
+        moved, others = _considered(attribution)
+        unclear = "has a predicted effect that is clear of its noise"
+        if any(_is_clear(row) and row.name not in attribution.vectors for row in ranking):
+            why = "what has a clear effect is part of the construction, off, or as far as it can go"
+            why += f", and {_listed(moved)} {unclear}" if moved else ""
+        elif moved:
+            why = f"{_listed([*moved, *(['no change of another parameter'] if others else [])])} {unclear}"
+        else:
+            why = f"no single one {unclear}"
     return f"no change is proposed: {why}"
+
+
+def _considered(attribution: SceneAttribution) -> tuple[list[str], bool]:
+    """Return the changes of objects that stay upright, each as what there is none of, and if there are others."""
+    names = [row.name for row in attribution.ranking()]
+    upright = [name for name in names if _is_kept_upright(name, attribution.info["up"])]
+    components = {pose_component(name) for name in upright}
+    moved = [f"no {change}" for component, change in CHANGES_OF_POSES.items() if component in components]
+    return moved, len(upright) < len(names)
+
+
+def _listed(items: Sequence[str]) -> str:
+    return " and ".join([*filter(None, [", ".join(items[:-1])]), items[-1]])
 
 
 def _is_clear(row: RankedParameter) -> bool:
@@ -117,13 +138,17 @@ def _moved(
 
 def _upright(name: str, step: torch.Tensor, up: int | None) -> torch.Tensor:
     """Return a step of the same length that moves an object horizontally, or turns it about the vertical."""
-    component = pose_component(name)
-    if up is None or component not in ("translation", "rotation") or name.startswith("camera."):
+    if up is None or not _is_kept_upright(name, up):
         return step
     is_vertical = torch.arange(len(step), device=step.device) == up
-    kept = torch.where(is_vertical == (component == "rotation"), step, 0.0)
+    kept = torch.where(is_vertical == (pose_component(name) == "rotation"), step, 0.0)
     longer: torch.Tensor = step.norm() / kept.norm().clamp_min(1e-12)
     return kept * longer
+
+
+def _is_kept_upright(name: str, up: int | None) -> bool:
+    """Whether an object moves horizontally only, or turns about the vertical only."""
+    return up is not None and pose_component(name) in CHANGES_OF_POSES and not name.startswith("camera.")
 
 
 def _predict(

@@ -128,17 +128,21 @@ def _contradicted_notes(attribution: Attribution, shown: Sequence[str]) -> dict[
 
 
 def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
-    """Return a note on the turns and zooms of a camera whose gradients do not hold over their ranges."""
-    local = [name for name in attribution.info.get("local", ()) if name in shown]
-    if not local:
-        return {}
-    note = advised(
-        f"{_named(attribution, local)}: the gradient at this value does not hold over its range, over which the "
-        "picture moves by several pixels; the effect may be quite different",
-        RENDER,
-        ": ",
-    )
-    return {note: local}
+    """Return notes on the poses whose gradients do not hold over their ranges, of a camera and of objects."""
+    reasons = {
+        "local": "the picture moves by several pixels",
+        "nonlinear": f"{metric_symbol(attribution)} is not linear in the picture",
+    }
+    notes = {}
+    for key, reason in reasons.items():
+        names = [name for name in attribution.info.get(key, ()) if name in shown]
+        if names:
+            note = (
+                f"{_named(attribution, names)}: the gradient at this value does not hold over its range, over "
+                f"which {reason}; the effect may be quite different"
+            )
+            notes[advised(note, RENDER, ": ")] = names
+    return notes
 
 
 def _roughness_notes(
