@@ -217,6 +217,14 @@ def test_loading_does_not_change_the_callers_dict(mi: Any, painted: Path) -> Non
     assert scene == found
 
 
+def test_loading_leaves_tensors_in_the_callers_dict(mi: Any) -> None:
+    bitmap = {"type": "bitmap", "raw": True, "data": mi.TensorXf(np.full((4, 4, 3), 0.4, np.float32))}
+    scene = small_scene(ball=ball({"type": "diffuse", "reflectance": bitmap}))
+    for _ in range(2):
+        assert table(load_scene(scene))["ball.bsdf.reflectance.data"].shape == (4, 4, 3)
+    assert bitmap["data"].shape == (4, 4, 3)
+
+
 def test_eight_bit_pictures_become_differentiable_and_keep_their_values(mi: Any, painted: Path) -> None:
     png = painted.parent / "paint.png"
     bitmap = {"type": "bitmap", "filename": str(png)}

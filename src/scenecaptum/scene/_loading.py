@@ -17,7 +17,7 @@ from ..backend import activate, at_least_two_threads
 from ..errors import SceneCaptumError, near_misses
 from ._files import Placeholders, check_dict, check_referenced_files, check_xml, is_file
 from ._naming import name_nodes, name_objects, without_addresses
-from ._portable import picture_of
+from ._portable import picture_of, with_copied_tensors
 from .bundled import BUNDLED
 
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
@@ -55,7 +55,9 @@ def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any
         loaded = scene
     elif isinstance(scene, Mapping):
         check_dict(scene)
-        loaded = _instantiate("the scene dict", lambda config: mi.parser.parse_dict(config, dict(scene)))
+        # Mitsuba takes tensors out of the dict.
+        own = with_copied_tensors(scene)
+        loaded = _instantiate("the scene dict", lambda config: mi.parser.parse_dict(config, own))
     elif isinstance(scene, (str, os.PathLike)):
         loaded = _load_path_or_bundled(scene, format_parameters(parameters))
     else:

@@ -36,9 +36,19 @@ def picture_of(value: Any) -> _Picture | None:
     kind = type(value)
     if kind.__module__.startswith("mitsuba") and kind.__name__ == "Bitmap":
         return _Picture(np.array(value), value.pixel_format().name, value.srgb_gamma())
-    if kind.__module__.startswith("drjit") and kind.__name__.startswith("Tensor"):
-        return _Picture(np.array(value))
-    return None
+    return _Picture(np.array(value)) if _is_tensor(value) else None
+
+
+def with_copied_tensors(scene: Any) -> Any:
+    """Return a Mitsuba dict whose tensors are copies."""
+    if isinstance(scene, Mapping):
+        return {name: with_copied_tensors(value) for name, value in scene.items()}
+    return type(scene)(scene) if _is_tensor(scene) else scene
+
+
+def _is_tensor(value: Any) -> bool:
+    kind = type(value)
+    return kind.__module__.startswith("drjit") and kind.__name__.startswith("Tensor")
 
 
 def portable(scene: Any) -> Any:
