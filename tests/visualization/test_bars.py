@@ -162,6 +162,17 @@ def test_a_clear_effect_with_a_mark_is_not_called_uncertain() -> None:
     assert said == f"Glare: {aside}; the error of wall.reflectance is too large"
 
 
+def test_a_mark_on_an_effect_that_may_be_the_largest_is_in_the_title() -> None:
+    result = of_values(METAL, ("desk.reflectance", 4.0, 0.1))
+    assert finding(result) == "Glare depends most on desk.reflectance"
+    noisy = dataclasses.replace(
+        result,
+        covariance={**result.covariance, METAL[0]: torch.tensor([[2.0**2]])},
+        info={**result.info, "noisy_roughness": [METAL[0]]},
+    )
+    assert finding(noisy) == "Glare depends most on desk.reflectance, effects marked ~ aside"
+
+
 @pytest.mark.parametrize("draw", [plot_heatmap, plot_overlay])
 def test_a_map_says_which_derivatives_are_known_to_be_wrong(draw: Any) -> None:
     figure = draw(make(cautions={"rough": "its size is off", "tiny": "its size is off"}))

@@ -58,7 +58,8 @@ def finding(
     tied = [row for row in others if not _are_apart(first, row, allowed)]
     names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
     listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
-    aside = "" if first is ranking[0] else ", effects marked ~ aside"
+    larger = [row for row in ranking if row.name in noted and _upper_end(row, allowed) > first.saliency]
+    aside = ", effects marked ~ aside" if larger else ""
     return f"{most} {listed}{aside}"
 
 
