@@ -9,7 +9,12 @@ import torch
 from seeds import shifted
 from toy import log_mean
 
-from scenecaptum import IntegratedGradientsScene, VanillaSceneGradient
+from scenecaptum import (
+    GradientShapScene,
+    InputXGradientScene,
+    IntegratedGradientsScene,
+    VanillaSceneGradient,
+)
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.validation import ablation_test, deletion_insertion, infidelity, interactions, sensitivity_n
 
@@ -80,9 +85,22 @@ def test_other_baselines_than_those_of_the_attribution_are_refused(renderer, che
     check(renderer, torch.mean, contributions, baselines=baselines)
 
 
+def test_input_times_gradient_is_relative_to_0(renderer):
+    contributions = InputXGradientScene(renderer, torch.mean).attribute()
+    with pytest.raises(SceneCaptumError, match=r"with the baseline 0, and this check with 0\.1"):
+        sensitivity_n(renderer, torch.mean, contributions, baselines=0.1)
+    sensitivity_n(renderer, torch.mean, contributions)
+
+
+def test_contributions_relative_to_several_baselines_are_refused(renderer):
+    several = GradientShapScene(renderer, torch.mean).attribute(baselines=[0.1, 0.9], n_samples=2)
+    with pytest.raises(SceneCaptumError, match=r"relative to 2 baselines, and .* replaces .* by one"):
+        deletion_insertion(renderer, torch.mean, several)
+
+
 @pytest.mark.parametrize("check", [ablation_test, infidelity, interactions])
 def test_an_attribution_of_another_texture_is_refused(renderer, check):
-    other = {**renderer.inputs, "texture": 0.5 * renderer.inputs["texture"]}
+    other = {**renderer.inputs, "texture": renderer.inputs["texture"].flip(0)}  # of the same mean
     gradient = VanillaSceneGradient(renderer, torch.mean).attribute(other)
     with pytest.raises(SceneCaptumError, match="another 'texture' than that of the renderer"):
         check(renderer, torch.mean, gradient)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import torch
 
-from ..checkpoint import without_checkpoint
+from ..checkpoint import digest, without_checkpoint
 from ..errors import SceneCaptumError
 from ..estimation import Adjoints, GradientSum, TargetedMetric, scaled
 from ..projection import SurfaceMap
@@ -421,13 +421,14 @@ def surfaces_of(renderer: Renderer, names: Iterable[str], values: Tensors) -> Su
 
 
 def info_of(renderer: Renderer, values: Tensors) -> dict[str, Any]:
-    """Return how the renderer renders, with the camera where the ``values`` move it."""
+    """Return how the renderer renders, the camera where the ``values`` move it, and a hash of each texture."""
     of = Capabilities(renderer).info_of
     info = dict(of(values) if of else Capabilities(renderer).info or {})
     # A renderer of one's own may have no scene by which its results could be told apart.
     own = without_checkpoint(renderer)
     name = getattr(own, "__name__", type(own).__name__)
-    return info if "scene" in info else {"renderer": name, **info}
+    textures = {name: digest(value) for name, value in values.items() if value.ndim > 1}
+    return {**({} if "scene" in info else {"renderer": name}), **info, "texture_digests": textures}
 
 
 def seen_through(

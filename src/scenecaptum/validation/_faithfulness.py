@@ -22,7 +22,7 @@ from ..attr import (
 from ..checkpoint import Folder, with_checkpoint
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, derived_seeds, random_generator
-from ..protocols import Renderer
+from ..protocols import Renderer, ResultKind
 from ..visualization import metric_name
 from ._faithfulness_result import Infidelity, SensitivityN
 from ._scenes import Scenes, denoise_of, values_of
@@ -263,9 +263,14 @@ def contributions(
 
 def _check_baselines(attribution: SceneAttribution, names: Sequence[str], own: Mapping[str, str]) -> None:
     """Raise if the attribution is relative to other baselines than ``own``, those of the check in words."""
-    theirs = attribution.info.get("baselines")
-    if not isinstance(theirs, Mapping):  # of several baselines, or of a method without any
-        return
+    theirs = attribution.info.get("baselines", {})
+    if isinstance(theirs, str):
+        raise SceneCaptumError(
+            f"The attribution is relative to {theirs}, and this check replaces parameters by one. Attribute with "
+            "one of them, and give it to the check as baselines=."
+        )
+    if attribution.info.get("quantity") == ResultKind.INPUT_X_GRADIENT:
+        theirs = {name: "0" for name, baseline in own.items() if baseline != "unchanged"}
     others = [name for name in names if theirs.get(name, own[name]) != own[name]]
     if others:
         more = f" ({len(others) - 1} more differ)" if len(others) > 1 else ""

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 
 import torch
 
-from ..attr import SceneAttribution, summarize
+from ..attr import SceneAttribution
+from ..checkpoint import digest
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     Denoise,
@@ -124,15 +125,16 @@ class Scenes:
 def values_of(attribution: SceneAttribution, renderer: Renderer) -> dict[str, torch.Tensor]:
     """Return the inputs of the renderer with the values at which an attribution was made.
 
-    Raises if these are not known: results have only the mean of a texture.
+    Raises if these are not known: results have only the mean and a hash of a texture.
     """
     values = input_values(renderer, None)
-    own = summarize({name: value.cpu() for name, value in values.items()})
+    digests = attribution.info.get("texture_digests", {})
     for name, given in attribution.parameter_values.items():
-        # The mean over many texels is rounded.
-        if name not in own or torch.allclose(given, own[name], rtol=1e-5, atol=0):
+        if name not in values:
             continue
-        if given.shape != values[name].shape:
+        if given.shape == values[name].shape:
+            values[name] = given.to(values[name])
+        elif name in digests and digests[name] != digest(values[name]):
             raise SceneCaptumError(
                 f"The attribution was made for another {name!r} than that of the renderer, and results have only "
                 "the mean of a texture. Create a renderer of the scene with this texture, and attribute its own "
