@@ -323,7 +323,8 @@ def make_attribution(
         bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
         errors = {name: _error(gradients, name, bias[name]) for name in names}
         local = local_poses(renderer, mean, errors, values, adjoint, samples, info["seed"])
-        if not adjoints.is_linear and info["quantity"] == ResultKind.GRADIENT:
+        # Of a smoothed metric, with hundreds of draws for each value, this would take longer than the rest.
+        if not (adjoints.is_linear or metric.is_smoothed) and info["quantity"] == ResultKind.GRADIENT:
             nonlinear = nonlinear_poses(
                 renderer,
                 metric,
