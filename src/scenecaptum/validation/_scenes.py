@@ -140,7 +140,6 @@ def values_of(attribution: SceneAttribution, renderer: Renderer) -> dict[str, to
                 "the mean of a texture. Create a renderer of the scene with this texture, and attribute its own "
                 "inputs."
             )
-        values[name] = given.to(values[name])
     return values
 
 
