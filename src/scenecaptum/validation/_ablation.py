@@ -48,11 +48,10 @@ from ._scenes import (
     MAX_STEP,
     MIN_STEP,
     Scenes,
-    denoise_of,
     distances_to_bounds,
     is_plain_gradient,
+    scenes_of,
     unit_gradient,
-    values_of,
 )
 
 if TYPE_CHECKING:
@@ -152,14 +151,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
     options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
-    scenes = Scenes(
-        renderer,
-        metric,
-        target,
-        **options,
-        denoise=denoise_of(attribution),
-        values=values_of(attribution, renderer),
-    )
+    scenes = scenes_of(attribution, renderer, metric, target, **options)
     slopes, errors = attribution.saliency("unit"), attribution.saliency_error("unit") or {}
     rows = [row for row in attribution.ranking(whole_number("top", top)) if slopes[row.name] > 0]
     cautions = attribution.info.get("cautions") or {}

@@ -25,7 +25,7 @@ from ..estimation import DEFAULT_REPLICATES, Metric, Stream, Target, derived_see
 from ..protocols import Renderer, ResultKind
 from ..visualization import metric_name
 from ._faithfulness_result import Infidelity, SensitivityN
-from ._scenes import Scenes, denoise_of, values_of
+from ._scenes import Scenes, scenes_of, values_of
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -98,14 +98,7 @@ def infidelity(  # noqa: PLR0913 -- the options of every check, and its own
             f"{attribution.info.get('method', 'this')}'s attributions. Use sensitivity_n for those."
         )
     count = whole_number("n_perturb_samples", n_perturb_samples, 3)
-    scenes = Scenes(
-        renderer,
-        metric,
-        target,
-        **options,
-        denoise=denoise_of(attribution),
-        values=values_of(attribution, renderer),
-    )
+    scenes = scenes_of(attribution, renderer, metric, target, **options)
     values = {name: scenes.values[name] for name in parameters_of(attribution, scenes.values)}
     predicted, deviations, measured = [], [], []
     for perturbed in perturbations(renderer, values, stdevs, count, seed):

@@ -36,7 +36,7 @@ from ..visualization import (
     wrapped_lines,
 )
 from ._hessian import max_steps, product_of
-from ._scenes import Scenes, denoise_of, is_plain_gradient, unit_gradient, values_of
+from ._scenes import is_plain_gradient, scenes_of, unit_gradient
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -122,14 +122,7 @@ def interactions(  # noqa: PLR0913 -- the options of every check, and its own
         )
     if not is_plain_gradient(attribution):
         raise SceneCaptumError("interactions needs plain gradients: VanillaSceneGradient(...).attribute().")
-    scenes = Scenes(
-        renderer,
-        metric,
-        target,
-        **options,
-        denoise=denoise_of(attribution),
-        values=values_of(attribution, renderer),
-    )
+    scenes = scenes_of(attribution, renderer, metric, target, **options)
     rows = [row for row in attribution.ranking(whole_number("top", top)) if row.saliency > 0]
     uphill = {
         row.name: unit_gradient(attribution.with_derivative(row.name), scenes.values[row.name])

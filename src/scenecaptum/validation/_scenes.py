@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import torch
 
@@ -120,6 +121,14 @@ class Scenes:
             return torch.tensor(metric.value(images[kept].mean(0)), dtype=torch.float64)
 
         return pseudo_values(value, len(images))
+
+
+def scenes_of(
+    attribution: SceneAttribution, renderer: Renderer, metric: Metric, target: Target, **options: Any
+) -> Scenes:
+    """Return the scenes that check an attribution: at its values, with its metric image."""
+    values = values_of(attribution, renderer)
+    return Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution), values=values)
 
 
 def values_of(attribution: SceneAttribution, renderer: Renderer) -> dict[str, torch.Tensor]:
