@@ -317,11 +317,12 @@ def make_attribution(
     are_gradients = info.get("quantity") in (ResultKind.GRADIENT, ResultKind.MEAN_GRADIENT)
     if has_errors and bias is not None and info.get("spp") and are_gradients:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
-        mean = {name: scaled(value, scale) for name, value in gradients.mean.items()}
-        samples = {name: info["spp"] * gradients.share_of_samples(name) for name in names}
+        # Those of textures are large, and no texture is a pose.
+        mean = {name: scaled(value, scale) for name, value in gradients.mean.items() if value.ndim < 2}
+        samples = {name: info["spp"] * gradients.share_of_samples(name) for name in mean}
         steps = step_errors(renderer, mean, values, adjoint, samples, info["seed"])
         bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
-        errors = {name: _error(gradients, name, bias[name]) for name in names}
+        errors = {name: _error(gradients, name, bias[name]) for name in mean}
         local = local_poses(renderer, mean, errors, values, adjoint, samples, info["seed"])
         # Of a smoothed metric, with hundreds of draws for each value, this would take longer than the rest.
         if not (adjoints.is_linear or metric.is_smoothed) and info["quantity"] == ResultKind.GRADIENT:

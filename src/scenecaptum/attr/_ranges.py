@@ -29,10 +29,7 @@ def extents(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     ranges = _ranges(renderer)
     if ranges is None:
         return {}
-    return {
-        name: _extent(value, *ranges.get(name, (-math.inf, math.inf)))
-        for name, value in _not_off(renderer, values).items()
-    }
+    return {name: _extent(value, *_range(ranges, name)) for name, value in _not_off(renderer, values).items()}
 
 
 def unit_ranges(renderer: Renderer, values: Tensors) -> list[str]:
@@ -40,9 +37,11 @@ def unit_ranges(renderer: Renderer, values: Tensors) -> list[str]:
     ranges = _ranges(renderer)
     if ranges is None:
         return []
-    own = _not_off(renderer, values)
-    finite = {name for name, (low, high) in ranges.items() if math.isfinite(high - low)}
-    return [name for name, value in own.items() if name not in finite and not value.any()]
+    return [
+        name
+        for name, value in _not_off(renderer, values).items()
+        if not _is_finite(ranges, name) and not value.any()
+    ]
 
 
 def lights_off(renderer: Renderer, values: Tensors) -> list[str]:
@@ -50,7 +49,7 @@ def lights_off(renderer: Renderer, values: Tensors) -> list[str]:
     table = table_of(renderer)
     if table is None:
         return []
-    return [name for name, value in values.items() if not value.any() and is_emitted_power(table[name])]
+    return [name for name, value in values.items() if is_emitted_power(table[name]) and not value.any()]
 
 
 def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
@@ -65,10 +64,7 @@ def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor
             "Ranges require physical bounds: give the renderer an attribute `bounds`, a dict from parameter name "
             "to (low, high)."
         )
-    return {
-        name: _length(value, *ranges.get(name, (-math.inf, math.inf)))
-        for name, value in _not_off(renderer, values).items()
-    }
+    return {name: _length(value, *_range(ranges, name)) for name, value in _not_off(renderer, values).items()}
 
 
 class Noise:
@@ -108,18 +104,30 @@ def _ranges(renderer: Renderer) -> Mapping[str, tuple[float, float]] | None:
     return offered.bounds if offered.ranges is None else offered.ranges
 
 
+def _range(ranges: Mapping[str, tuple[float, float]], name: str) -> tuple[float, float]:
+    return ranges.get(name, (-math.inf, math.inf))
+
+
+def _is_finite(ranges: Mapping[str, tuple[float, float]], name: str) -> bool:
+    low, high = _range(ranges, name)
+    return math.isfinite(high - low)
+
+
 def _not_off(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
-    """Return the values, and in place of 0 the scene's own: what was switched off has the range that it has on."""
-    own = Capabilities(renderer).inputs or {}
-    return {
-        name: value if bool(value.any()) else own.get(name, value).to(value) for name, value in values.items()
-    }
+    """Return the values, and in place of 0 the scene's own: what was switched off has the range that it has on.
+
+    Values with finite ranges, which do not depend on them, are returned as they are: textures are large.
+    """
+    ranges = _ranges(renderer) or {}
+    off = [name for name, value in values.items() if not _is_finite(ranges, name) and not value.any()]
+    own = (Capabilities(renderer).inputs or {}) if off else {}
+    return {**values, **{name: own.get(name, values[name]).to(values[name]) for name in off}}
 
 
 def _extent(value: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
     if math.isfinite(high - low):
-        return torch.full_like(channels, high - low)
+        return value.new_full((value.shape[-1] if value.ndim > 1 else value.numel(),), high - low)
+    channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
     return channels.abs() if bool(channels.any()) else torch.ones_like(channels)
 
 

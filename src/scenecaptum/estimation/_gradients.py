@@ -30,6 +30,7 @@ from ._replicates import (
     ReplicateStatistics,
     begin_passes,
     channel_totals,
+    dot,
     extra_image_seeds,
     render_images,
 )
@@ -589,8 +590,7 @@ def _add_replicate(
         for name, gradient in by_name.items():
             result.statistics[name].add(gradient, own_totals[name])
             if gradient.ndim > 1:
-                product = (gradient * leaves[name].detach()).sum(dtype=torch.float64)
-                result.statistics[name].products.append(product.item())
+                result.statistics[name].products.append(dot(gradient, leaves[name].detach()))
 
 
 def _same(image: torch.Tensor) -> torch.Tensor:

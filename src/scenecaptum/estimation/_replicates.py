@@ -30,6 +30,8 @@ SMOOTHED_PICTURE_RATIO = 16.0
 # divide them among threads. These wait for each other after each operation, which takes a hundred times as long
 # if another process has one of the cores.
 BLOCK = 2**14
+# Elements of a sum in float32, which is rounded more the longer it is.
+SUM_BLOCK = 2**20
 
 
 @dataclass(frozen=True)
@@ -230,6 +232,12 @@ def channel_totals(tensor: torch.Tensor) -> torch.Tensor:
     a constant colour.
     """
     return tensor.reshape(-1) if tensor.ndim < 2 else tensor.reshape(-1, tensor.shape[-1]).sum(0)
+
+
+def dot(first: torch.Tensor, second: torch.Tensor) -> float:
+    """Return the sum of the products of all elements."""
+    blocks = (tensor.reshape(-1).split(SUM_BLOCK) for tensor in (first, second))
+    return math.fsum(torch.dot(one, other).item() for one, other in zip(*blocks, strict=True))
 
 
 def covariance_of_mean(replicates: torch.Tensor, bias: torch.Tensor | None = None) -> torch.Tensor:
