@@ -230,6 +230,40 @@ def test_a_group_leaves_out_a_light_that_is_off_unless_it_has_nothing_else():
     assert "not shown" not in str(summed)
 
 
+def sky(quantity: str) -> SceneAttribution:
+    """A map of light and its scale, either of which has all of its light, and a wall."""
+    values = {
+        "sky.data": torch.full((2, 2, 3), 0.5),
+        "sky.scale": torch.tensor(6.0),
+        "wall": torch.tensor(0.2),
+    }
+    rows = {name: channel_totals(value)[None].double().repeat(8, 1) for name, value in values.items()}
+    return SceneAttribution(
+        attributions=values,
+        standard_error=None,
+        metric_value=6.0,
+        replicates=rows,
+        extents={name: torch.ones_like(channel_totals(value)) for name, value in values.items()},
+        parameter_values={name: torch.ones_like(channel_totals(value)) for name, value in values.items()},
+        info={"metric": "m", "method": "VanillaSceneGradient", "replicates": 8, "quantity": quantity},
+    )
+
+
+@pytest.mark.parametrize(
+    ("quantity", "light"), [("gradient per unit", 6.0), ("effect of ablation", 6.0), ("contribution", 12.0)]
+)
+def test_a_group_counts_the_light_of_a_map_once(quantity, light):
+    """Unless the map and its scale share it, as in contributions, which add up."""
+    found = sky(quantity)
+    groups = {"lights": ("sky.data", "sky.scale"), "map": ("sky.data",), "rest": ("wall",)}
+    summed = sum_groups(found, groups)
+    assert summed.effects() == pytest.approx({"lights": light, "map": 6.0, "rest": 0.2})
+    assert summed.replicates["lights"].flatten().tolist() == pytest.approx(8 * [light])
+    assert summed.info["groups"]["lights"] == ["sky.data", "sky.scale"]
+    note = "sky.data: left out of groups with sky.scale, which is for all of its light"
+    assert (note in range_notes(summed)) == (quantity != "contribution")
+
+
 @pytest.mark.parametrize("is_linear", [True, False])
 @pytest.mark.parametrize("groups", [None, {"lights": ("lamp", "glass"), "rest": ("wall",)}])
 def test_a_light_that_is_switched_off_takes_its_effect_with_it(is_linear, groups):

@@ -11,8 +11,9 @@ import torch
 
 from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..estimation import channel_totals
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, Renderer, ResultKind
 from ..scene import Parameter
+from ..visualization import scales_of_maps
 from ._baselines import table_of
 from ._data import AttributionData, covariances
 
@@ -21,6 +22,8 @@ Groups: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
 A = TypeVar("A", bound=AttributionData)
 
 GROUPS = ("kind", "material", "object")
+# Quantities that add up: a change is divided among the parameters that make it together.
+SHARES = {ResultKind.CONTRIBUTION, ResultKind.SHAPLEY_VALUE}
 
 
 def resolve_groups(
@@ -158,9 +161,16 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     """Return the sum of each group's effects, 0-d by group, with standard errors from the replicates.
 
     Gradients are summed over the ranges of the members where these are known: they have no common unit. A light
-    that is off is left out of a group that has others.
+    that is off is left out of a group that has others, and so is a map of light beside its scale, whose effect is
+    that of all its light, unless the two share a change between them.
     """
     kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), dict(attribution.weights())
+    maps = {
+        group: {} if kind in SHARES else scales_of_maps({name: attribution[name].ndim for name in names})
+        for group, names in members.items()
+    }
+    groups = {group: list(names) for group, names in members.items()}
+    members = {group: tuple(n for n in names if n not in maps[group]) for group, names in members.items()}
     jumps = attribution.info.get("jumps", {})
     off = attribution.lights_off()
     of_lights_off = {group for group, names in members.items() if {*names} - {*jumps} <= off}
@@ -181,7 +191,8 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     without = {group: jumps[names[0]] for group, names in members.items() if all(n in jumps for n in names)}
     hidden = {name for group in without for name in members[group]}
     without |= {name: reason for name, reason in jumps.items() if name not in hidden}
-    noted = {*without, *off, *attribution.info.get("left_out_directions", {})}
+    scale_of = {name: scale for of_group in maps.values() for name, scale in of_group.items()}
+    noted = {*without, *off, *scale_of, *scale_of.values(), *attribution.info.get("left_out_directions", {})}
     return dataclasses.replace(
         attribution,
         attributions={group: total(attribution, names) for group, names in members.items()},
@@ -203,6 +214,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
             "jumps": without,
             "lights_off": [*sorted(of_lights_off), *sorted(off)],
             "kept_directions": {},
-            "groups": {group: list(names) for group, names in members.items()},
+            "maps_left_out": scale_of,
+            "groups": groups,
         },
     )

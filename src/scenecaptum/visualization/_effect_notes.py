@@ -27,10 +27,10 @@ def range_notes(
     Each has the parameters that it is about. ``among`` are the parameters that are shown, by default all.
     """
     shown = [name for name in attribution if among is None or name in among]
-    notes = _alone_notes(attribution, shown)
+    notes = _alone_notes(attribution, shown) | _group_notes(attribution)
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
         notes |= {
-            **_sky_notes(attribution, shown),
+            **_map_notes(attribution, shown),
             **_roughness_notes(attribution, scale, shown),
             **_least_roughness_notes(attribution, shown),
             **_off_notes(attribution, shown),
@@ -73,14 +73,28 @@ def _named(attribution: Attribution, names: Sequence[str], *, of: int | None = N
     return first_few([attribution.labels.get(name, name) for name in names], "; ", of=of)
 
 
-def _sky_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+def scales_of_maps(axes: Mapping[str, int]) -> dict[str, str]:
+    """Return the maps of light whose scale is a parameter, too, with its name, by the axes of all parameters."""
+    scales = {name: f"{name.rpartition('.')[0]}.scale" for name, ndim in axes.items() if ndim == TEXTURE_NDIM}
+    return {name: scale for name, scale in scales.items() if scale in axes}
+
+
+def _map_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
     """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
-    labels, notes = attribution.labels, {}
-    for name in shown:
-        scale = f"{name.rpartition('.')[0]}.scale"
-        if attribution[name].ndim == TEXTURE_NDIM and scale in attribution:
+    labels, notes = attribution.labels, dict[str, list[str]]()
+    for name, scale in scales_of_maps({name: attribution[name].ndim for name in attribution}).items():
+        if name in shown:
             of_light = f"{labels.get(scale, scale)}: for all of its light"
             notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]
+    return notes
+
+
+def _group_notes(attribution: Attribution) -> dict[str, list[str]]:
+    """Return a note on each map of light that a group leaves out, because its scale is in the group."""
+    labels, notes = attribution.labels, {}
+    for name, scale in attribution.info.get("maps_left_out", {}).items():
+        of_light = f"left out of groups with {labels.get(scale, scale)}, which is for all of its light"
+        notes[f"{labels.get(name, name)}: {of_light}"] = [name]
     return notes
 
 
