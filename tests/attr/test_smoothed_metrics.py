@@ -187,6 +187,21 @@ def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None
     assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted()))
 
 
+def test_the_gradient_of_a_network_says_how_many_samples_a_very_noisy_picture_needs() -> None:
+    """Above that of the smoothing, noise biases the logit by more than two halves of the samples differ."""
+    renderer = SceneRenderer("classroom", inputs="reflectance", resolution=(24, 14), max_depth=3)
+    plain = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube")
+    logit = metrics.Smoothed(plain, sigma=0.3, n=32)
+    method = VanillaSceneGradient(renderer, logit)
+    few, many = (
+        method.attribute(seed=shifted(), spp=8, picture_spp=picture_spp) for picture_spp in (64, 8192)
+    )
+    assert few.info["picture"]["caution"]
+    assert few.info["picture"]["advice"].startswith("use picture_spp=")
+    assert int(few.info["picture"]["advice"].split("=")[1].split()[0]) > 64 * 9
+    assert "biases it" not in (many.info["picture"]["caution"] or "")
+
+
 def test_ablation_of_a_network_without_smoothing_cautions_against_a_noisy_picture_that_is_denoised() -> None:
     renderer = SceneRenderer("cornell-box", inputs="short_box*", resolution=(16, 16), spp=16, max_depth=3)
     logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube")

@@ -372,6 +372,17 @@ def test_the_caution_is_about_the_picture_that_is_used(denoises, noise, error, s
         assert said in f"{found['caution']}: {found['advice']}"
 
 
+@pytest.mark.parametrize(("noise", "spp"), [(None, 400), (0.2, 1100)])
+def test_the_advice_is_for_what_needs_more_samples(noise, spp):
+    """Two halves that differ say how many make them alike, and the noise of a pixel how many the metric needs."""
+    plain = TargetedMetric(SimpleNamespace(tolerated_noise=0.05))
+    found = describe_picture(
+        ImageTransform(False), 1.0, (0.1, 0.02), 64, noise=noise, metric=plain, option=SampleOption("spp", 64)
+    )
+    assert "1.1 at 32 spp, 1 at 64 spp" in found["caution"]
+    assert int(found["advice"].split("=")[1].split()[0]) == spp
+
+
 def test_images_can_have_a_separate_sample_budget():
     renderer, rating = Fireflies(), glare()
     method, errors = VanillaSceneGradient(renderer, rating), {}

@@ -16,7 +16,7 @@ from ..finite import NotFiniteError, check_gradient, check_image, error_context
 from ..protocols import Capabilities, Renderer, RenderPass
 from ._adjoints import Adjoints
 from ._autograd import gradients_enabled
-from ._image_info import pixel_error
+from ._image_info import pixel_error, relative_noise
 from ._jackknife import adjoints_if_linear, jackknife, with_image_transform
 from ._linearity import is_linear
 from ._metric import TargetedMetric
@@ -266,6 +266,7 @@ class GradientEstimator:
         self.bar = bar
         self.image = torch.zeros(())  # mean image of the last point
         self.pixel_error: float | None = None  # of that image
+        self.pixel_noise: float | None = None  # the same, relative to each pixel
         self.image_spp: int | None = None  # of each of its images
         self.extra_spp = 0  # added for the metric images, over all points
         self._first_adjoints: list[Adjoints] = []
@@ -318,7 +319,8 @@ class GradientEstimator:
         leaves = {name: value.requires_grad_() for name, value in values.items() if name not in point.settled}
         images, graphs = self._render(index, values)
         images = self._add_image_samples(index, point.values, images)
-        self.image, self.pixel_error = torch.stack(images).mean(0), pixel_error(images)
+        self.image = torch.stack(images).mean(0)
+        self.pixel_error, self.pixel_noise = pixel_error(images), relative_noise(images)
         spp = self.budget.spp[index] or 1
         results = [
             PointGradient({name: ReplicateStatistics() for name in leaves}, adjoints, point.weight, spp)

@@ -51,13 +51,15 @@ def _rounded_up(number: float) -> float:
     return round(math.ceil(number / scale * (1 - ROUNDING)) * scale, 9)
 
 
-def relative_noise(images: Sequence[torch.Tensor]) -> float | None:
-    """Return the root mean square of the relative noise of the pixels of a mean image; None for a single image."""
+def relative_noise(images: Sequence[torch.Tensor], fractions: torch.Tensor | None = None) -> float | None:
+    """Return the root mean square of the relative noise of the pixels of a mean image; None for a single image.
+
+    ``fractions`` are as in ``pixel_error``.
+    """
     if len(images) < 2:
         return None
-    pixels = torch.stack([image.mean(-1) for image in images]).double()
-    mean, error = pixels.mean(0), pixels.std(0) / math.sqrt(len(images))
-    return (error / mean.clamp_min(_FLOOR * mean.mean())).square().mean().sqrt().item()
+    mean, variance = _mean_and_variance(images, fractions)
+    return (variance.sqrt() / mean.clamp_min(_FLOOR * mean.mean())).square().mean().sqrt().item()
 
 
 def pixel_error(images: Sequence[torch.Tensor], fractions: torch.Tensor | None = None) -> float | None:
@@ -66,16 +68,23 @@ def pixel_error(images: Sequence[torch.Tensor], fractions: torch.Tensor | None =
     It is in the unit of the image, averaged over the channels. ``fractions`` are those of the samples that each
     image has, by default equal. Black pixels do not count: they are points of a sensor grid that are left out.
     """
-    count = len(images)
-    if count < 2:
+    if len(images) < 2:
         return None
+    mean, variance = _mean_and_variance(images, fractions)
+    lit = mean > 0
+    return variance[lit].mean().sqrt().item() if lit.any() else 0.0
+
+
+def _mean_and_variance(
+    images: Sequence[torch.Tensor], fractions: torch.Tensor | None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the mean image and the variances of its pixels, both averaged over the channels first."""
+    count = len(images)
     pixels = torch.stack([image.mean(-1) for image in images]).double()
     weights = torch.full((count,), 1 / count) if fractions is None else fractions
     weights = weights.to(pixels).reshape(-1, *[1] * (pixels.ndim - 1))
     mean = (weights * pixels).sum(0)
-    variance = (weights * (pixels - mean).square()).sum(0) / (count - 1)
-    lit = mean > 0
-    return variance[lit].mean().sqrt().item() if lit.any() else 0.0
+    return mean, (weights * (pixels - mean).square()).sum(0) / (count - 1)
 
 
 def describe_picture(  # noqa: PLR0913 -- everything that is known of the picture
@@ -111,9 +120,13 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     noisy, factor = _differs(value, drift, spp, denoised, compares=compares, option=option)
     advice = _more_samples(option, factor) if factor else None
     noisy = noisy or _too_wide(interval, measure)
-    if not noisy and metric is not None:
-        noisy, factor = _above_tolerance(noise, transform, metric.tolerated_noise)
-        advice = None if not noisy else _more_samples(option, factor) if factor > 1 else "do not denoise"
+    biased, needed = (
+        (None, 0.0) if metric is None else _above_tolerance(noise, transform, metric.tolerated_noise)
+    )
+    if biased and not noisy:
+        noisy, advice = biased, _more_samples(option, needed) if needed > 1 else "do not denoise"
+    elif biased and factor:
+        advice = _more_samples(option, max(factor, needed))
     if noisy:
         noisy = f"the {'picture' if shows_a_view else 'result'} {TOO_NOISY} {THIS_METRIC}: {noisy}"
     if noisy and compares:

@@ -14,7 +14,7 @@ from ..protocols import Capabilities, Renderer
 from ._adjoints import Adjoints
 from ._autograd import gradients_enabled
 from ._gradients import GradientEstimator, GradientSum, Point, PointGradient
-from ._image_info import pixel_error
+from ._image_info import pixel_error, relative_noise
 from ._jackknife import jackknife, with_image_transform
 from ._linearity import is_linear
 from ._metric import Draws, TargetedMetric
@@ -227,6 +227,7 @@ class Rounds(GradientEstimator):
         fractions = (samples / samples.sum()).to(images[0])
         self.image = torch.tensordot(fractions, torch.stack(all_images), 1)
         self.pixel_error = pixel_error(all_images, fractions)
+        self.pixel_noise = relative_noise(all_images, fractions)
         counts = samples.tolist()
         metrics = with_image_transform(self.metrics, all_images, self.transform_selector, counts)
         draws = [draws for _, _, draws in groups]
