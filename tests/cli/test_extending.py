@@ -87,6 +87,17 @@ def test_a_method_whose_contributions_are_those_of_integrated_gradients() -> Non
     assert "compared with: all lights off" in str(found)
 
 
+def test_a_method_without_derivatives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    title = "A method without derivatives"
+    for name, method in entry(title, code(title), NamedMethod=NamedMethod).items():
+        monkeypatch.setitem(METHODS, name, method)
+        assert attribute(tmp_path, "--method", name, "--json") == 0
+        result = json.loads(capsys.readouterr().out)
+        assert result["info"]["method"] == "HalvingScene"
+
+
 def test_an_integrator(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     title = "An integrator"
     module = code(title)
