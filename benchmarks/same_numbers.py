@@ -2,8 +2,9 @@
 
 ``record`` writes the attributions of each method in the Cornell box, the office and the living room with fixed
 seeds; ``compare`` computes them again and prints the largest difference of each run, relative to the largest value
-of that input. Gradients repeat to about 1e-6, because sums on the device have no fixed order. ``repeat`` shows how
-far: a deep network with kinks has another gradient at a picture that differs in its last bits, and pixels are
+of that input. Gradients of few samples repeat to about 1e-6, because sums on the device have no fixed order.
+``repeat`` shows how far: the gradient of a light is a sum over nearly all samples, whose rounding grows with their
+number; a deep network with kinks has another gradient at a picture that differs in its last bits, and pixels are
 sampled by that gradient.
 
     python benchmarks/same_numbers.py record FILE
@@ -136,10 +137,16 @@ def deep_network() -> torch.nn.Module:
 
 def repeat(runs: int = 5) -> int:
     """Print how far the effects of runs with the same seed differ, relative to the largest, and in errors."""
-    renderer = SceneRenderer(BUNDLED["cornell-box"](), inputs="all", resolution=(48, 48), spp=32, max_depth=3)
+    box = SceneRenderer(BUNDLED["cornell-box"](), inputs="all", resolution=(48, 48), spp=32, max_depth=3)
+    office = SceneRenderer(BUNDLED["office"](), inputs="emitters", resolution=(96, 54), spp=1024, max_depth=6)
     picture = metrics.ResizeCropNormalize(48, 48)
     logit = metrics.ClassLogit(deep_network(), 0, transform=picture, smoothing=0.3)
-    for name, metric in (("mean luminance", metrics.MeanLuminance()), ("logit of a deep network", logit)):
+    luminance = metrics.MeanLuminance()
+    for name, renderer, metric in (
+        ("mean luminance", box, luminance),
+        ("logit of a deep network", box, logit),
+        ("mean luminance, light of many samples", office, luminance),
+    ):
         found = [VanillaSceneGradient(renderer, metric).attribute(seed=3) for _ in range(runs)]
         effects = torch.tensor([list(one.effects().values()) for one in found])
         errors = torch.tensor(list((found[0].effects_error() or {}).values()))

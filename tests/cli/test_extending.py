@@ -12,8 +12,9 @@ from typing import Any
 import pytest
 import torch
 from extending import PAGE, code, entry, section
+from seeds import shifted
 
-from scenecaptum import SceneCaptumError, SceneRenderer, cli, metrics
+from scenecaptum import IntegratedGradientsScene, SceneCaptumError, SceneRenderer, cli, metrics
 from scenecaptum.attr import METHODS, NamedMethod
 from scenecaptum.cli import _formats
 from scenecaptum.cli._files import OutputFormat
@@ -69,6 +70,32 @@ def test_an_attribution_method(
         assert attribute(tmp_path, "--method", name, "--json") == 0
         result = json.loads(capsys.readouterr().out)
         assert result["info"]["method"] == "TrapezoidGradientScene"
+
+
+def test_a_method_whose_contributions_are_those_of_integrated_gradients() -> None:
+    method = code("An attribution method").TrapezoidGradientScene
+    renderer = SceneRenderer("cornell-box", "light.*", resolution=(16, 16), spp=512, max_depth=3)
+    found, integrated = (
+        one(renderer, metrics.MeanLuminance()).attribute(baselines="dark", seed=shifted(seed))
+        for one, seed in ((method, 1), (IntegratedGradientsScene, 2))
+    )
+    # The metric is linear in the light, so that two points are enough.
+    for name, effect in found.effects().items():
+        error = math.hypot(found.effects_error()[name], integrated.effects_error()[name])
+        assert abs(effect - integrated.effects()[name]) <= 4 * error
+    assert found.kind is integrated.kind
+    assert "compared with: all lights off" in str(found)
+
+
+def test_a_method_without_derivatives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    title = "A method without derivatives"
+    for name, method in entry(title, code(title), NamedMethod=NamedMethod).items():
+        monkeypatch.setitem(METHODS, name, method)
+        assert attribute(tmp_path, "--method", name, "--json") == 0
+        result = json.loads(capsys.readouterr().out)
+        assert result["info"]["method"] == "HalvingScene"
 
 
 def test_an_integrator(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from seeds import shifted
 
-from scenecaptum import SceneRenderer, activate
+from scenecaptum import SceneCaptumError, SceneRenderer, activate
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +82,76 @@ def test_a_specular_material_of_a_user_is_differentiated_by_differences(tinted: 
         difference = (higher - lower).item() / (2 * step)
         assert abs(difference) > 0.005
         assert leaf.grad.sum().item() == pytest.approx(difference, rel=0.1), name
+
+
+def test_a_colour_that_drjit_does_not_track_is_refused_with_the_line_that_makes_it_an_input() -> None:
+    mi = activate()
+
+    class Painted(mi.BSDF):
+        def __init__(self, props: mi.Properties) -> None:
+            mi.BSDF.__init__(self, props)
+            self.tint = props["tint"]  # as in Mitsuba's tutorial
+            self.coats = mi.UInt32(3)
+            self.m_flags = mi.BSDFFlags.DiffuseReflection | mi.BSDFFlags.FrontSide
+            self.m_components = [self.m_flags]
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            found = mi.BSDFSample3f()
+            found.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            found.pdf = mi.warp.square_to_cosine_hemisphere_pdf(found.wo)
+            found.eta = mi.Float(1)
+            found.sampled_component = mi.UInt32(0)
+            found.sampled_type = mi.UInt32(+mi.BSDFFlags.DiffuseReflection)
+            return found, mi.Color3f(self.tint)
+
+        def eval(self, ctx, si, wo, active=True):
+            return mi.Color3f(self.tint) * self.pdf(ctx, si, wo)
+
+        def pdf(self, ctx, si, wo, active=True):
+            return mi.warp.square_to_cosine_hemisphere_pdf(wo)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo), self.pdf(ctx, si, wo)
+
+        def traverse(self, callback) -> None:
+            callback.put("tint", self.tint, mi.ParamFlags.Differentiable)
+            callback.put("coats", self.coats, mi.ParamFlags.Differentiable)
+
+    class Tracked(Painted):
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.tint = mi.Color3f(props["tint"])
+
+    mi.register_bsdf("painted", Painted)
+    mi.register_bsdf("painted_tracked", Tracked)
+
+    def renderer(material: str, name: str, tint: object) -> SceneRenderer:
+        scene = {
+            "type": "scene",
+            "ball": {"type": "sphere", "bsdf": {"type": material, "tint": tint}},
+            "sky": {"type": "constant"},
+            "camera": {"type": "perspective", "to_world": mi.ScalarTransform4f().translate([0, 0, -5])},
+        }
+        return SceneRenderer(scene, name, resolution=(8, 8), spp=64, max_depth=3)
+
+    line = r'self\.tint = mi\.Color3f\(props\["tint"\]\)'
+    for tint, kind in (([0.2, 0.3, 0.4], "an Array3f64"), (mi.ScalarColor3d(0.2), "a ScalarColor3d")):
+        with pytest.raises(
+            SceneCaptumError, match=f"it is {kind}, whose numbers Dr.Jit does not track.*{line}"
+        ):
+            renderer("painted", "ball.bsdf.tint", tint)
+    with pytest.raises(SceneCaptumError, match="it is a UInt, not a continuous quantity"):
+        renderer("painted", "ball.bsdf.coats", [0.2, 0.3, 0.4])
+
+    tracked, step = renderer("painted_tracked", "ball.bsdf.tint", [0.2, 0.3, 0.4]), 0.1
+    leaves = tracked.leaves()
+    tracked(leaves, seed=shifted(1)).mean().backward()
+    for name, leaf in leaves.items():
+        higher, lower = (
+            tracked({name: tracked.inputs[name] + sign * step}, seed=shifted(1)).mean() for sign in (1, -1)
+        )
+        # A convex ball under the sky reflects its light once.
+        assert leaf.grad.sum().item() == pytest.approx((higher - lower).item() / (2 * step), rel=1e-3), name
 
 
 def _stripes():

@@ -55,6 +55,8 @@ from ._method import Settings as Settings
 from ._method import Targets as Targets
 from ._method import target_list as target_list
 from ._occlusion import OcclusionScene as OcclusionScene
+from ._perturbation import Arm as Arm
+from ._perturbation import Effect as Effect
 from ._perturbation import Perturbation as Perturbation
 from ._ranges import Noise as Noise
 from ._ranges import range_lengths as range_lengths

@@ -124,12 +124,10 @@ class FeatureAblationScene(Perturbation):
             drops = measured_drops(pseudo_values, parts, sizes)
             return {owner: Effect.of_totals(own, templates[owner]) for owner, own in drops.items()}, None
 
-        info = {
-            "quantity": ResultKind.ABLATION.value,
-            **describe_baselines(self.renderer, values, baselines, absent),
-        }
-        grouped = {} if members is None else {"groups": {g: list(names) for g, names in members.items()}}
-        return self._results(measured, target, effects_of, **info, **grouped)
+        info = describe_baselines(self.renderer, values, baselines, absent)
+        if members is not None:
+            info["groups"] = {group: list(names) for group, names in members.items()}
+        return self._results(measured, target, effects_of, quantity=ResultKind.ABLATION, **info)
 
 
 class _Feature(NamedTuple):

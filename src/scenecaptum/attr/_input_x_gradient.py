@@ -85,4 +85,4 @@ class InputXGradientScene(GradientMethod):
         goal = Goal(tolerance, share, top, time_limit)
         point = Point(run.values, factors=run.values)
         factors = {name: torch.ones_like(channel_totals(value)) for name, value in run.values.items()}
-        return run.attribute_point(point, goal, factors, spp, quantity=ResultKind.INPUT_X_GRADIENT.value)
+        return run.attribute_point(point, goal, factors, spp, quantity=ResultKind.INPUT_X_GRADIENT)

@@ -46,7 +46,7 @@ from ..estimation import (
     with_image_transform,
 )
 from ..executors import spread
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, Renderer, ResultKind
 from ._attribution import SceneAttribution, make_attribution, surfaces_of
 from ._data import Tensors, metric_interval
 from ._groups import Groups, resolve_groups, sum_groups
@@ -135,14 +135,18 @@ class Run:
         points: Iterable[Point],
         count: int = 1,
         *,
+        quantity: ResultKind,
         random_points: bool = False,
         moment: Callable[[GradientSum], GradientSum] | None = None,
         **info: Any,
     ) -> Result:
         """Sum the gradients of ``count`` points and return the result of ``attribute``.
 
-        ``moment`` computes another statistic from all points, each of which then has several replicates.
+        ``quantity`` says what the sum is: tables multiply a gradient per unit by the range of its parameter, and
+        nothing else. ``moment`` computes another statistic from all points, each of which then has several
+        replicates.
         """
+        info["quantity"] = quantity.value
         pairs = 1 if random_points and moment is None else count
         sums, gradients, interrupted = self.sums(
             points, count, pairs=pairs, random_points=random_points, keep_points=moment is not None
@@ -166,7 +170,8 @@ class Run:
         factors: Tensors | None,
         first_spp: int | None,
         against: Any = None,
-        **info: Any,
+        *,
+        quantity: ResultKind,
     ) -> Result:
         """Return the result of ``attribute`` for a single point, in rounds if there is a goal.
 
@@ -179,10 +184,10 @@ class Run:
                 "time_limit= measures the time of this process: leave out executor=, or give tolerance= or top=."
             )
         if goal.is_set:
-            return self._attribute_to_goal(point, goal, factors, first_spp, against, **info)
+            return self._attribute_to_goal(point, goal, factors, first_spp, against, quantity)
         if against is not None:
             raise SceneCaptumError("against= requires a goal: give tolerance=, top= or time_limit= as well.")
-        return self.attribute([point], **info)
+        return self.attribute([point], quantity=quantity)
 
     def _attribute_to_goal(
         self,
@@ -191,7 +196,7 @@ class Run:
         factors: Tensors | None,
         first_spp: int | None,
         against: Any,
-        **info: Any,
+        quantity: ResultKind,
     ) -> Result:
         planner = Planner(
             self.renderer,
@@ -209,7 +214,8 @@ class Run:
         evaluated = zip(self.metrics, planner.sums, self._evaluations(planner.sums, rounds), strict=True)
         results = []
         for number, arguments in enumerate(evaluated):
-            info["planner"] = planner.report(number, interrupted=interrupted)
+            report = planner.report(number, interrupted=interrupted)
+            info = {"quantity": quantity.value, "planner": report}
             results.append(self.result(*arguments, rounds, interrupted, **info))
         return self.return_results(results, interrupted=interrupted)
 

@@ -134,7 +134,7 @@ class OcclusionScene(Perturbation):
             return {name: _effect(own, windows[name], textures[name]) for name, own in drops.items()}, None
 
         info = describe_baselines(self.renderer, textures, baselines, occluded, default=DEFAULT_OF_OCCLUSION)
-        return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION.value, **info)
+        return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION, **info)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from ..estimation import (
 )
 from ..executors import spread
 from ..finite import error_context
-from ..protocols import Capabilities, Renderer
+from ..protocols import Capabilities, Renderer, ResultKind
 from ._attribution import SceneAttribution, info_of, seen_through, surfaces_of, versions
 from ._convergence import convergence
 from ._data import summarize
@@ -150,14 +150,17 @@ class Perturbation:
         measured: ArmMeasurements,
         target: Targets,
         effects_of: Callable[[torch.Tensor], tuple[Effects, Residual | None]],
+        *,
+        quantity: ResultKind,
         **info: Any,
     ) -> Result:
         """Return a result for each target; raise if the measurement was interrupted.
 
         ``effects_of`` computes the effects from ``(arms, replicates)`` pseudo-values, and a residual if the
-        effects explain a difference. AttributionInterrupted has the finished effects; KeyboardInterrupt is raised
-        if there are none.
+        effects explain a difference. ``quantity`` says what the effects are. AttributionInterrupted has the
+        finished effects; KeyboardInterrupt is raised if there are none.
         """
+        info["quantity"] = quantity.value
         results = []
         for index in range(len(measured.metrics)):
             effects, residual = effects_of(measured.pseudo_values[..., index])

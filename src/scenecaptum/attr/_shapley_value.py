@@ -136,7 +136,7 @@ class ShapleyValueScene(Perturbation):
             measured,
             target,
             effects_of,
-            quantity=ResultKind.SHAPLEY_VALUE.value,
+            quantity=ResultKind.SHAPLEY_VALUE,
             **describe_baselines(self.renderer, values, baselines, absent),
             groups={group: list(names) for group, names in members.items()},
             permutations="all" if orders is None else 2 * pairs,

@@ -138,7 +138,7 @@ class SmoothGradScene(GradientMethod):
             random_points=True,
             moment=_MOMENTS[nt_type],
             nt_type=nt_type,
-            quantity=_KINDS[nt_type].value,
+            quantity=_KINDS[nt_type],
         )
 
 

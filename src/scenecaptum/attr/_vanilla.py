@@ -140,5 +140,5 @@ class VanillaSceneGradient(GradientMethod):
         run = self._start(inputs, target, settings)
         goal = Goal(tolerance, share, top, time_limit)
         factors = extents(self.renderer, run.values) or None
-        quantity = ResultKind.GRADIENT.value
-        return run.attribute_point(Point(run.values), goal, factors, spp, against, quantity=quantity)
+        point, quantity = Point(run.values), ResultKind.GRADIENT
+        return run.attribute_point(point, goal, factors, spp, against, quantity=quantity)

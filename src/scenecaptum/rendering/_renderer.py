@@ -1135,12 +1135,13 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
                 f"The scene has no parameter {name!r}."
                 f"{near_misses(name, self._state.original, instead=INPUT_NAMES)}"
             )
+        expected = self._state.original[name].shape
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
+            fill = f"torch.full({tuple(expected)}, 0.2)" if expected else "torch.tensor(0.2)"
             raise SceneCaptumError(
-                f"{name!r} must be a floating point tensor, not {came}: give torch.tensor(0.2), for example."
+                f"{name!r} must be a floating point tensor, not {came}: give {fill}, for example."
             )
-        expected = self._state.original[name].shape
         if value.shape != expected:
             raise SceneCaptumError(
                 f"{name!r} has shape {tuple(value.shape)}; the scene expects {tuple(expected)}."

@@ -156,6 +156,7 @@ def _problem(
 ) -> str | None:
     """Return the reason why the parameter cannot be differentiated, or None."""
     type_name = type(value).__name__
+    article = "an" if type_name[0] in "AEIOaeio" else "a"  # a UInt
     if role.endswith(("sampling_weight", "_sampling_rate")):
         return "it changes how samples are drawn, not what is rendered"
     if kind == "geometry" and ("position" in role or "to_world" in role):
@@ -170,8 +171,13 @@ def _problem(
         return "it is a transformation, whose entries are not differentiated"
     if kind == "emitters" and role in EMITTER_POSES:
         return "it positions a light; move the light instead, such as by NAME.pose.translation"
+    if _is_untracked_array(value):
+        return (
+            f"it is {article} {type_name}, whose numbers Dr.Jit does not track; make it an array of the variant "
+            f'in the plugin, such as self.{role} = mi.Color3f(props["{role}"])'
+        )
     if not (_is_array(value) or isinstance(value, float)):
-        return f"it is a {type_name}, not a continuous quantity"
+        return f"it is {article} {type_name}, not a continuous quantity"
     if role == "S" and user.class_name().startswith("SGGX"):
         return "Mitsuba's SGGX sampling does not match its own density"
     if role in ("normalmap", "nested_texture") and _is_specular(user):
@@ -271,6 +277,13 @@ def _is_array(value: Any) -> bool:
     import drjit as dr
 
     return value is not None and bool(dr.is_jit_v(value) and dr.is_float_v(value))
+
+
+def _is_untracked_array(value: Any) -> bool:
+    """Whether ``value`` is an array or a colour of floats that Dr.Jit cannot track: of its scalar backend."""
+    import drjit as dr
+
+    return bool(dr.is_array_v(value) and dr.is_float_v(value) and not dr.is_jit_v(value))
 
 
 def _is_scalar(graph: SceneGraph, node: Any, shape: tuple[int, ...]) -> bool:
