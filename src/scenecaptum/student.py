@@ -14,14 +14,17 @@ _ENOUGH_DEGREES = 7  # of the default number of replicates, 8
 def clear_from(info: Mapping[str, Any]) -> float:
     """Return how many standard errors from 0 an effect is clear of its noise, and its sign known.
 
-    Two, as is usual, from 8 replicates on, the default. With fewer it is as many as in ``interval(0.95)``, so that
-    no sign is called known that this interval leaves open: beyond two standard errors are 9 % of the effects that
-    are 0 with 8 replicates, but 30 % with 2.
+    Two, as is usual, from 7 degrees of freedom on, those of 8 replicates, the default. With fewer it is as many
+    as in ``interval(0.95)``, so that no sign is called known that this interval leaves open: beyond two standard
+    errors are 9 % of the effects that are 0 with 8 replicates, but 30 % with 2. Where some points of a path cause
+    most of the noise, many replicates have few degrees of freedom.
 
     Example
     -------
     >>> clear_from({"replicates": 8}), round(clear_from({"replicates": 2}), 2)
     (2.0, 12.71)
+    >>> round(clear_from({"replicates": 16, "degrees_of_freedom": 5}), 2)
+    2.57
     """
     degrees = int(info.get("degrees_of_freedom", info.get("replicates", _ENOUGH_DEGREES + 1) - 1))
     return 2.0 if degrees >= _ENOUGH_DEGREES else student_t(0.95, max(degrees, 1))

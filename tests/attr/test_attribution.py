@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import operator
 import subprocess
 import sys
 from typing import Any
@@ -12,13 +13,18 @@ import numpy as np
 import pytest
 import torch
 from chance import allowed
+from refusals import message
 from seeds import seeds, shifted
 from toy import ReplayingToyRenderer, ToyRenderer, log_mean
 
 import scenecaptum
 from scenecaptum import (
+    FeatureAblationScene,
+    InputXGradientScene,
+    IntegratedGradientsScene,
     SceneAttribution,
     SceneCaptumError,
+    SmoothGradScene,
     VanillaSceneGradient,
     metrics,
 )
@@ -513,6 +519,33 @@ def test_results_for_different_parameters_cannot_be_subtracted(cornell_attributi
     other = VanillaSceneGradient(ToyRenderer(), torch.mean).attribute()
     with pytest.raises(SceneCaptumError, match="same parameters"):
         cornell_attribution - other
+
+
+@pytest.mark.parametrize(
+    ("method", "quantity"),
+    [
+        (IntegratedGradientsScene, "contribution"),
+        (InputXGradientScene, "input × gradient"),
+        (FeatureAblationScene, "effect of ablation"),
+    ],
+)
+@pytest.mark.parametrize("combined", [operator.sub, operator.add, lambda a, b: b - a])
+def test_results_of_different_quantities_cannot_be_subtracted(method, quantity, combined):
+    renderer = ToyRenderer()
+    gradient, other = (one(renderer, torch.mean).attribute() for one in (VanillaSceneGradient, method))
+    said = message(lambda: combined(gradient, other))
+    assert f"{quantity} ({method.__name__})" in said
+    assert "gradient per unit (VanillaSceneGradient)" in said
+    assert "results of the same method, or the effects() of each side by side" in said
+
+
+def test_mean_gradients_can_be_subtracted_from_gradients():
+    renderer = ToyRenderer()
+    renderer.bounds = {"x": (0.0, 1.0)}
+    gradient, mean = (
+        one(renderer, torch.mean).attribute() for one in (VanillaSceneGradient, SmoothGradScene)
+    )
+    torch.testing.assert_close((gradient - mean)["x"], gradient["x"] - mean["x"])
 
 
 # ------------------------------------------------------------------------------------------ interruption

@@ -126,6 +126,19 @@ def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(
     assert "different settings" not in printed
 
 
+def test_saved_results_of_different_quantities_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("gradient per unit", "contribution"):
+        results.make(quantity=name).save(tmp_path / f"{name}.npz")
+    files = [str(path) for path in sorted(tmp_path.glob("*.npz"))]
+    assert cli.main(["compare", *files, "--out", str(tmp_path / "out")]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert "contribution (VanillaSceneGradient)" in said
+    assert "gradient per unit (VanillaSceneGradient)" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_two_scenes_are_compared_by_the_definition_near_the_threshold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

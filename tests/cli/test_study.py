@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -44,6 +46,22 @@ def test_the_command_computes_on_dask(
     monkeypatch.setattr("scenecaptum.cli._study.PATIENCE", "1s")
     assert cli.main([*command, "--dask", "tcp://127.0.0.1:1"]) == 2
     assert "There is no Dask scheduler at tcp://127.0.0.1:1" in capsys.readouterr().err
+
+
+def test_the_terminal_shows_the_summary_or_what_it_needs(
+    own_threads: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "rooms.json"
+    small = {"inputs": "emitters", "resolution": [8, 8], "spp": 8, "max_depth": 2}
+    file.write_text(json.dumps({"scenes": {"one": "cornell-box", "two": "cornell-box"}, **small}))
+    command = ["study", str(file), "--out", str(tmp_path / "out"), "--no-progress"]
+    assert cli.main([*command, "--workers", "1"]) == 0
+    text = capsys.readouterr().out
+    assert re.search(r"\ngroup +mean effect .*\nemitters +\+", text)
+    assert text.count("valid if the scene's lights are in") == 1
+    monkeypatch.setitem(sys.modules, "statsmodels.stats.meta_analysis", None)
+    assert cli.main([*command, "--workers", "1"]) == 0
+    assert "no summary: Summaries of a study need statsmodels: pip install" in capsys.readouterr().out
 
 
 def test_of_relaxed_values_the_terminal_says_what_to_run_and_the_page_does_not(

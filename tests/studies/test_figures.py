@@ -50,6 +50,24 @@ def test_rooms_are_in_order_in_the_colours_of_their_signs(tmp_path: Path) -> Non
     assert outside(figure) == []
 
 
+def test_an_effect_of_exactly_0_is_not_called_noise(tmp_path: Path) -> None:
+    summary = by_room(tmp_path).summary()
+    [row] = summary.rows
+    exact = [dataclasses.replace(room, effect=0.0, error=0.0, low=0.0, high=0.0) for room in row.rooms]
+
+    def text(*rooms: Any) -> str:
+        one = dataclasses.replace(row, rooms=rooms)
+        figure = plot_effect_by_room(dataclasses.replace(summary, rows=(one,)))
+        assert [color for _, color in dots(figure)].count(UNCLEAR) >= len(exact)
+        return all_text(figure).replace("\n", " ")
+
+    unclear = next(room for room in row.rooms if not room.sign)
+    assert "sign lost in the noise" not in text(*exact)
+    assert "exactly 0 in all of 5 rooms" in text(*exact)
+    assert "sign lost in the noise" in text(*exact, unclear)
+    assert "no clear sign in any of 6 rooms" in text(*exact, unclear)
+
+
 @pytest.mark.parametrize("rooms", [1, 5])
 def test_a_long_label_is_whole_and_a_change_of_a_share_is_in_points(tmp_path: Path, rooms: int) -> None:
     share = {"name": "spatial daylight autonomy of the points of a floor, relaxed", "unit": "%"}
@@ -143,7 +161,7 @@ def test_a_gallery_has_a_map_for_each_room_and_camera(tmp_path: Path) -> None:
     text = all_text(figure)
     assert "no picture" in text
     assert "10.00 ± 0.10 cd/m²" in text
-    assert "Effects on mean luminance of the objects in each pixel" in text.replace("\n", " ")
+    assert "Effects of the objects in each pixel on mean luminance; blue" in text.replace("\n", " ")
     assert "blue: raising it raises the metric" in text.replace("\n", " ")
     assert outside(figure) == []
     assert "2 more rooms not shown" in all_text(result.plot_gallery(1))

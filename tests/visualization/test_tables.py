@@ -151,6 +151,20 @@ def test_table_says_whether_effects_are_extrapolated(quantity: str, note: str) -
     assert note in table_text(make(quantity=quantity)).splitlines()
 
 
+@pytest.mark.parametrize("quantity", [ResultKind.EFFECT, ResultKind.ABLATION, ResultKind.CONTRIBUTION])
+def test_numbers_that_repeat_the_effect_have_no_column(quantity: ResultKind) -> None:
+    every = make(quantity=quantity.value)
+    assert table_text(every).splitlines()[2].endswith(f"{quantity.value}: R, G, B")
+    scalars = dataclasses.replace(every, attributions={name: every[name] for name in ("rough", "noisy")})
+    assert table_text(scalars).splitlines()[2:4] == [
+        "#  parameter        effect",
+        "1  desk: roughness  −0.0978 ± 0.0008",
+    ]
+    assert table_html(scalars).count("<th ") == table_html(every).count("<th ") - 1 == 3
+    gradients = dataclasses.replace(scalars, info={**scalars.info, "quantity": ResultKind.GRADIENT.value})
+    assert "gradient per unit" in table_text(gradients).splitlines()[2]
+
+
 @pytest.mark.parametrize("quantity", [ResultKind.GRADIENT_VARIANCE, ResultKind.MEAN_SQUARED_GRADIENT])
 def test_table_explains_squares_below_0(quantity: ResultKind) -> None:
     note = "below 0: not above the noise of rendering, which is subtracted"

@@ -129,7 +129,7 @@ class SceneAttribution(AttributionData):
         Raises
         ------
         SceneCaptumError
-            If the parameters or their shapes differ.
+            If the parameters or their shapes differ, or the quantities, such as gradients and contributions.
         """
         if not isinstance(other, SceneAttribution):
             return NotImplemented
@@ -173,6 +173,15 @@ class SceneAttribution(AttributionData):
             raise SceneCaptumError(
                 "Only attributions to the same parameters can be added or subtracted; these differ in "
                 f"{', '.join(unmatched[:3]) or 'the shape of a parameter'}{' …' if len(unmatched) > 3 else ''}."
+            )
+        both_per_unit = self.kind.is_gradient_per_unit and other.kind.is_gradient_per_unit
+        if self.kind != other.kind and not both_per_unit:
+            quantities = [
+                f"{one.kind.value} ({one.info.get('method', 'unknown method')})" for one in (self, other)
+            ]
+            raise SceneCaptumError(
+                f"Results of different quantities cannot be added or subtracted: {' and '.join(quantities)}. "
+                "Compare results of the same method, or the effects() of each side by side."
             )
 
     def to_dataframe(self, *, scale: Scale | None = None) -> pandas.DataFrame:

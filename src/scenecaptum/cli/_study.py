@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
 import json
 from collections.abc import Iterator
 from concurrent.futures import Executor
@@ -69,7 +70,9 @@ def add(commands: Any) -> None:
         "picture",
     )
     parser.add_argument("--retry-failed", action="store_true", help="compute failed cells again")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument(
+        "--json", action="store_true", help="print the cells as JSON instead of a summary over the rooms"
+    )
     parser.add_argument("--no-progress", action="store_true", help="write no progress to stderr")
     parser.set_defaults(run=run)
 
@@ -99,6 +102,7 @@ def run(options: argparse.Namespace) -> int:
         print(result)
         if any("relaxed" in (result.numbers(cell)["measure"] or "") for cell in result.cells):
             print(EXPLAIN)
+        print(_summary(result))
         print_files(options.out, FORMATS)
         print(
             f"{options.out / 'study.json'}  what the study is; a file for each cell is in {options.out / 'cells'}"
@@ -106,6 +110,15 @@ def run(options: argparse.Namespace) -> int:
         if report is not None:
             print(f"{report}  summary, figures, and a page for each cell with a picture")
     return 1 if result.failures else 0
+
+
+def _summary(result: StudyResult) -> str:
+    """Return the effects over the rooms, or why there are none; what is said of all cells is printed with them."""
+    try:
+        summary = result.summary()
+    except SceneCaptumError as error:
+        return f"no summary: {error}"
+    return f"\n{dataclasses.replace(summary, left_out=0, premises=(), cautions='')}"
 
 
 def _numbers(result: StudyResult) -> dict[str, Any]:

@@ -64,8 +64,8 @@ def heatmap(
         determine the scale. By default all.
     signed
         Whether to give an object's saliency the sign of the sum of its parameters' effects, or 0 where this sum is
-        less than two standard errors from 0, or more with few replicates. Objects of opposite sign cancel within
-        a pixel.
+        less than two standard errors from 0, or more if these have fewer than 7 degrees of freedom. Objects of
+        opposite sign cancel within a pixel.
     scale
         What is compared, as for ``SceneAttribution.ranking``: by default effects over the parameters' ranges.
     norm

@@ -143,7 +143,10 @@ def _finding(row: GroupEffect) -> str:
         return f"{name}: {mean} in the only room"
     signs = {"positive": row.raises, "negative": row.lowers}
     parts = [f"{sign} in {rooms}" for sign, rooms in signs.items() if rooms]
-    return f"{name}: {' and '.join(parts) or 'no clear sign in any'} of {count} rooms, mean {mean}"
+    of_none = (
+        "no clear sign in any" if any(room.effect or room.error for room in row.rooms) else "exactly 0 in all"
+    )
+    return f"{name}: {' and '.join(parts) or of_none} of {count} rooms, mean {mean}"
 
 
 def _intervals(rooms: Sequence[RoomEffect], means: Sequence[str]) -> str:
@@ -182,7 +185,7 @@ def _legend(row: GroupEffect, rooms: Sequence[RoomEffect]) -> list[Any]:
     style: dict[str, Any] = {"linewidth": 1.4, "marker": "o", "markersize": 4.5}
     signs = row.quantity.signs or ("positive", "negative")
     meanings = {1: signs[0], -1: signs[1], 0: "sign lost in the noise"}
-    present = {room.sign for room in rooms}
+    present = {room.sign for room in rooms if room.sign or room.is_unclear}
     entries = [
         Line2D([], [], color=_COLORS[s], label=text, **style) for s, text in meanings.items() if s in present
     ]
@@ -411,7 +414,7 @@ def _draw_gallery(
     )
     bar.set_label(f"relative to the largest {'of all' if maximum else 'in each'}", fontsize=SMALL)
     raises, lowers = sign_labels(some) or ("positive", "negative")
-    title = f"Effects on {metric_name(some)} of the objects in each pixel; blue: {raises}, orange: {lowers}"
+    title = f"Effects of the objects in each pixel on {metric_name(some)}; blue: {raises}, orange: {lowers}"
     if any(map(objects_of_unclear_sign, places.values())):
         title += "; grey: sign lost in the noise"
     more = [f"{pluralize(hidden, 'more room')} not shown"] if hidden else []

@@ -81,6 +81,11 @@ class RoomEffect:
             return 0
         return 1 if self.low > 0 else -1
 
+    @property
+    def is_unclear(self) -> bool:
+        """Whether the noise hides the sign; an effect of exactly 0 has none to hide."""
+        return self.sign == 0 and self.low != self.high
+
 
 @dataclass(frozen=True)
 class Combined:

@@ -67,9 +67,10 @@ def plot_bars(
 
     The side and the colour of a bar show whether raising the parameter raises or lowers the metric or, for
     contributions, whether the parameter adds to the metric or takes from it. Bars are grey if the effect is less
-    than two standard errors from zero, or with fewer than 8 replicates within its interval at 95 % (Student's t).
-    Gradients per unit, whose channels have no common sign, are shown by their
-    norm. A light that is off and ranks last has its number in place of a bar.
+    than two standard errors from zero, or if its errors have fewer than 7 degrees of freedom and its interval at
+    95 % (Student's t) contains 0: 8 replicates of a gradient have 7, those of several points may have fewer.
+    Gradients per unit, whose channels have no common sign, are shown by their norm. A light
+    that is off and ranks last has its number in place of a bar.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ _MAX_NAME_WIDTH = 80
 
 
 class _Row(NamedTuple):
-    """One line of the table; the numbers in ``gradient`` are padded to align."""
+    """One line of the table; the numbers in ``gradient`` are padded to align, or empty in all rows."""
 
     rank: str
     name: str
@@ -125,7 +125,8 @@ STYLE = """<style>
 
 def _cells(row: _Row, tag: str) -> str:
     name = f"{row.name} {row.mark}".rstrip()
-    kinds = (("rank", row.rank), ("name", name), ("number", row.effect), ("number", row.gradient))
+    kinds = [("rank", row.rank), ("name", name), ("number", row.effect)]
+    kinds += [("number", row.gradient)] if row.gradient else []
     return "".join(f'<{tag} class="{kind}">{html.escape(text)}</{tag}>' for kind, text in kinds)
 
 
@@ -146,6 +147,7 @@ def _table(
     of_range = range_notes(attribution, scale)
     marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(of_range)}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
+    repeats = not attribution.kind.is_gradient_per_unit and all(len(row.total) == 1 for row in shown)
     columns = (
         [str(row.rank) for row in shown],
         shorten([row.label for row in shown], _MAX_NAME_WIDTH),
@@ -153,7 +155,7 @@ def _table(
         align_with_errors([(row.saliency, row.saliency_error) for row in shown])
         if is_norm
         else _effects(attribution, shown),
-        _gradients(attribution, shown),
+        [""] * len(shown) if repeats else _gradients(attribution, shown),
     )
     vectors = attribution.info.get("vectors", ())
     colors = any(len(row.total) == 3 and row.name not in vectors for row in shown)
@@ -162,6 +164,7 @@ def _table(
         *(["x, y, z"] if any(row.name in vectors for row in shown) else []),
     ]
     channels = f": {' or '.join(axes)}" if axes else ""
+    gradient_heading = "" if repeats else f"{attribution.kind.value}{channels}"
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
     notes += unit_notes(attribution, shown, scale) + baseline_notes(attribution)
@@ -198,9 +201,7 @@ def _table(
     notes += [f"!  {text}" for text in scene_cautions(attribution)]
     return _Table(
         heading=[*filter(None, heading), *sampling_notes(attribution), *convergence_notes(attribution)],
-        columns=_Row(
-            "#", "parameter", "", "norm" if is_norm else "effect", f"{attribution.kind.value}{channels}"
-        ),
+        columns=_Row("#", "parameter", "", "norm" if is_norm else "effect", gradient_heading),
         rows=[_Row(*cells) for cells in zip(*columns, strict=True)],
         notes=notes,
     )
