@@ -154,6 +154,37 @@ def test_a_file_predicts_without_a_server(browser, tmp_path, capsys):
     page.close()
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file with two sliders of a scene that has many."""
+    path: Path = tmp_path_factory.mktemp("few") / "few.html"
+    words = "explore cornell-box --metric luminance --resolution 16x16 --spp 16 --max-depth 3 --top 2"
+    assert cli.main([*words.split(), "--inputs", "emitters", "--inputs", "reflectance", "--to", str(path)]) == 0
+    return path
+
+
+def test_a_file_offers_of_an_object_what_it_can_predict(browser, few):
+    page = browser.new_page()
+    page.goto(few.as_uri())
+    rows = page.locator(".explore-slider:not([data-waiting])")
+    wait_for(lambda: rows.count() == 2)
+    listed = {row.get_attribute("aria-label") for row in rows.all()}
+    chooser = page.get_by_label("Object, to get its parameters")
+    wait_for(lambda: chooser.locator("option").count() > 2)
+    offered = set()
+    for option in chooser.locator("option").all()[1:]:
+        chooser.select_option(label=option.inner_text())
+        buttons = page.locator(".explore-chosen").get_by_role("button").all()
+        offered |= {button.inner_text() for button in buttons}
+        assert "only for the parameters with a slider" in page.locator(".explore-chosen").inner_text()  # of poses
+        for button in buttons:
+            button.click()
+            focused = page.evaluate("document.activeElement.closest('.explore-slider').ariaLabel")
+            assert focused == button.inner_text()
+    assert offered == listed
+    page.close()
+
+
 def test_a_section_of_a_report_predicts(browser, tmp_path):
     renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), max_depth=3)
     exploration = Exploration(renderer, metrics.MeanLuminance(), seed=shifted(), spp=16)

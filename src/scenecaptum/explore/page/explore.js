@@ -7,6 +7,7 @@ const LAYERS = 3; // objects per pixel
 const OPERATORS = { dimmer: "*", offset: "+" }; // of changes, in Python and on the command line
 const UNRENDERED =
   "Changes are predicted to first order, not rendered. ± is the noise of the prediction only: a render can differ by more.";
+const PARTIAL = "This file has predictions only for the parameters with a slider.";
 const NOTABLE = 0.01; // of the largest effect on a metric
 const CLEAR = 2; // errors from which a render and its prediction differ
 
@@ -784,16 +785,19 @@ class Page {
     this.choose(this.objects.weights[index] ? this.objects.objects[index] : "");
   }
 
-  /** Show the parameters of an object: those with a slider to go to, the others to add. */
+  /** Show the parameters of an object: those with a slider to go to, the others to add if something renders them. */
   choose(index) {
     this.parts.object.value = String(index);
     if (index === "") return this.parts.chosen.replaceChildren();
-    const names = this.objects.parameters[index];
+    const all = this.objects.parameters[index];
+    const names = this.isRecorded ? all.filter((name) => this.sliders.get(name)?.images.length) : all;
+    const left = names.length < all.length ? PARTIAL : all.length ? "" : "Nothing of it can be changed.";
     const entry = (name) =>
       button(`${this.rows.has(name) ? "" : "+ "}${this.scene.parameters[name]}`, () => this.add(name));
     this.parts.chosen.replaceChildren(
       make("h2", {}, this.objects.names[index]),
-      make("div", { class: "tools" }, ...(names.length ? names.map(entry) : ["Nothing of it can be changed."])),
+      make("div", { class: "tools" }, ...names.map(entry)),
+      make("p", { class: "muted" }, left),
     );
   }
 
