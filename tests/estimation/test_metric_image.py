@@ -22,10 +22,12 @@ from scenecaptum.estimation import (
     SampleOption,
     TargetedMetric,
     _image_info,
+    _metric_image,
     choose_transform,
     describe_picture,
     pixel_error,
     student_t,
+    value_by_definition,
 )
 from scenecaptum.estimation._jackknife import jackknife
 from scenecaptum.estimation._linearity import is_linear
@@ -448,6 +450,19 @@ def test_invalid_options_are_refused():
     assert not VanillaSceneGradient(flat, bent).attribute(renderer.inputs, spp=16).info["picture"]["denoised"]
     with pytest.raises(SceneCaptumError, match="Only an image"):
         denoise(torch.zeros(5, 5))
+
+
+def test_a_transform_that_remembers_denoises_no_image_twice(monkeypatch):
+    view, denoised = Fireflies(), []
+    images = torch.stack([view(view.inputs, seed=seed, spp=4) for seed in seeds(4)])
+    monkeypatch.setattr(
+        _metric_image, "denoise", lambda image, guides: denoised.append(image) or denoise(image, guides)
+    )
+    rating = TargetedMetric(metrics.UnifiedGlareRating(CAMERA), transform=ImageTransform(denoises=True))
+    expected, often = value_by_definition(rating, images), len(denoised)
+    denoised.clear()
+    assert value_by_definition(rating.with_transform(rating.transform.remembering()), images) == expected
+    assert len(denoised) == 7 < often, "the mean, and the halves of three splits"
 
 
 @pytest.mark.parametrize("factor", [2.0**-100, 1e-30, 0.7, 1e30])

@@ -14,8 +14,11 @@ from chance import allowed, together
 from seeds import shifted
 
 from scenecaptum import SceneRenderer, cli, metrics
+from scenecaptum.attr import Explanation
+from scenecaptum.explanation import definition_of
 from scenecaptum.explore import Exploration, Server
-from scenecaptum.visualization import automatic_exposure, display_image
+from scenecaptum.metrics import Band, Measure
+from scenecaptum.visualization import automatic_exposure, display_image, format_with_error
 
 from .windows import REPLICATES, Window, last_render, number, run, served, wait_for
 
@@ -243,8 +246,31 @@ def test_a_glare_rating_has_the_cautions_of_an_explanation() -> None:
     [rated] = exploration.channel.message("base")["metrics"]
     assert any("UGR and its limits are for luminaires" in one for one in rated["premises"])
     assert any("with a threshold of 5 times the mean luminance, UGR is" in one for one in rated["premises"])
-    assert re.match(r"[\d.]+ by the definition: above [\d.]+, ", rated["verdict"])
+    assert re.match(r"[\d.]+ ± [\d.]+ by the definition: above [\d.]+, ", rated["verdict"])
     assert rated["relaxed"].startswith("predictions need")
+
+
+def test_a_class_of_the_start_and_of_a_render_is_as_sure_as_that_of_an_explanation() -> None:
+    renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
+    rating = metrics.UnifiedGlareRating(renderer.camera)
+    exploration = Exploration(renderer, rating, top=1, spp=16, seed=shifted())
+    exploration.channel.listen()
+    start = exploration.designs.measure({}).images
+    metric = exploration.designs.metrics[0]
+    first = definition_of(metric, start)
+    close, far = first.value + first.error, first.value + 9 * first.error
+    for limit, end in ((close, f"; too close to {close:g} to be sure"), (far, "dim (a standard)")):
+        rating.measure = Measure("glare", bands=(Band(limit, "dim"),), above="bright", source="a standard")
+        about = exploration.linearize()
+        [rated] = exploration.channel.message("base")["metrics"]
+        exact = definition_of(metric, start)
+        said = Explanation(about.attributions[0], definition=exact).rating()
+        assert rated["verdict"] == f"{format_with_error(exact.value, exact.error)} by the definition: {said}"
+        assert said.endswith(end)
+    exploration.receive({"type": "design", "design": {"sky.emitter.radiance.value": [0.99]}})
+    exploration._confirm()
+    [rated] = last_render(exploration)["metrics"]
+    assert re.match(r"[\d.]+ ± [\d.]+ by the definition: dim", rated["verdict"])
 
 
 def test_a_slider_that_leads_for_another_metric_and_a_relaxed_rating_say_so(browser):

@@ -154,6 +154,103 @@ def test_a_file_predicts_without_a_server(browser, tmp_path, capsys):
     page.close()
 
 
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file with two sliders of a scene that has many."""
+    path: Path = tmp_path_factory.mktemp("few") / "few.html"
+    words = "explore cornell-box --metric luminance --resolution 16x16 --spp 16 --max-depth 3 --top 2"
+    assert (
+        cli.main([*words.split(), "--inputs", "emitters", "--inputs", "reflectance", "--to", str(path)]) == 0
+    )
+    return path
+
+
+def test_a_file_offers_of_an_object_what_it_can_predict(browser, few):
+    page = browser.new_page()
+    page.goto(few.as_uri())
+    rows = page.locator(".explore-slider:not([data-waiting])")
+    wait_for(lambda: rows.count() == 2)
+    listed = {row.get_attribute("aria-label") for row in rows.all()}
+    chooser = page.get_by_label("Object, to get its parameters")
+    wait_for(lambda: chooser.locator("option").count() > 2)
+    offered = set()
+    for option in chooser.locator("option").all()[1:]:
+        chooser.select_option(label=option.inner_text())
+        buttons = page.locator(".explore-chosen").get_by_role("button").all()
+        offered |= {button.inner_text() for button in buttons}
+        assert (
+            "only for the parameters with a slider" in page.locator(".explore-chosen").inner_text()
+        )  # of poses
+        for button in buttons:
+            button.click()
+            focused = page.evaluate("document.activeElement.closest('.explore-slider').ariaLabel")
+            assert focused == button.inner_text()
+    assert offered == listed
+    page.close()
+
+
+def open_designs(page: Any, path: Path) -> Any:
+    """Open a file, and return its list of designs once it has sliders."""
+    page.goto(path.as_uri())
+    wait_for(page.locator(".explore-slider:not([data-waiting])").count)
+    return page.locator(".explore-saved")
+
+
+def save_design(page: Any, name: str) -> None:
+    page.locator(".explore-slider input[type=range]").first.fill("0.5")
+    page.get_by_label("Name of this design").fill(name)
+    page.get_by_role("button", name="Save").click()
+    wait_for(lambda: name in page.locator(".explore-saved").inner_text())
+
+
+def test_designs_of_a_file_stay_in_the_browser_and_apart_from_those_of_others(browser, few, tmp_path):
+    other, same = tmp_path / "other.html", tmp_path / "same.html"
+    text = few.read_text()
+    same.write_text(text)
+    other.write_text(text.replace("--resolution 16x16", "--resolution 16x17"))
+    assert other.read_text() != text
+    page = browser.new_page()
+    open_designs(page, few)
+    save_design(page, "half")
+    save_design(page, "also")
+    saved = open_designs(page, few)
+    wait_for(lambda: saved.locator("li").count() == 2)
+    saved.locator("li", has_text="half").get_by_role("button", name="Show").click()
+    assert page.locator(".explore-slider input[type=range]").first.input_value() == "0.5"
+    page.get_by_role("button", name="Forget also").click()
+    wait_for(lambda: saved.locator("li").count() == 1)
+    saved = open_designs(page, other)
+    save_design(page, "third")
+    assert saved.locator("li").count() == 1
+    saved = open_designs(page, same)
+    wait_for(lambda: "half" in saved.inner_text())
+    assert saved.locator("li").count() == 1
+    assert "last until" not in page.locator(".explore-designs").inner_text()
+    page.close()
+
+
+@pytest.mark.parametrize(
+    "refusal",
+    [
+        "Object.defineProperty(window, 'localStorage', { get() { throw new DOMException(); } })",
+        "Storage.prototype.setItem = () => { throw new DOMException(); }",
+    ],
+    ids=["none", "full"],
+)
+def test_designs_of_a_file_last_until_it_is_closed_where_the_browser_stores_nothing(browser, few, refusal):
+    page = browser.new_page()
+    complaints: list[str] = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.add_init_script(refusal)
+    saved = open_designs(page, few)
+    save_design(page, "half")
+    save_design(page, "also")
+    assert saved.locator("li").count() == 2
+    assert "Designs last until this page is closed" in page.locator(".explore-designs").inner_text()
+    assert complaints == []
+    page.close()
+
+
 def test_a_section_of_a_report_predicts(browser, tmp_path):
     renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), max_depth=3)
     exploration = Exploration(renderer, metrics.MeanLuminance(), seed=shifted(), spp=16)

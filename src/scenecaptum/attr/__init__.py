@@ -63,6 +63,7 @@ from ._ranges import range_lengths as range_lengths
 from ._shapley_value import ShapleyValueScene as ShapleyValueScene
 from ._smooth_grad import SmoothGradScene as SmoothGradScene
 from ._vanilla import VanillaSceneGradient as VanillaSceneGradient
+from ._wording import rating_in_words as rating_in_words
 
 # By their names on the command line.
 METHODS = {

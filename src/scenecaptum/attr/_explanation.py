@@ -27,8 +27,8 @@ from ..visualization import (
     wrap,
 )
 from ._effect_sentences import EffectSentences
-from ._findings import SIGNIFICANT, Change, Definition, Row, Source, is_clear
-from ._wording import change_in_words, percent, row_name, signed, step
+from ._findings import Change, Definition, Row, Source, is_clear
+from ._wording import change_in_words, percent, rating_in_words, row_name, signed, step
 
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
 SMALL_REST = 0.001  # of the whole: a smaller rest is not stated
@@ -170,24 +170,8 @@ class Explanation:
 
     def rating(self) -> str:
         """Return what the value means, by which source, and whether that is in doubt; empty without classes."""
-        numbers = [(self.attribution.metric_value, self.attribution.metric_standard_error or 0.0)]
-        measure = self.attribution.info.get("measure") or {}
-        means = verdict(self.attribution)
-        if self.definition is not None:
-            # Only where the error of the quoted value is not known does the relaxed one say how sure it is.
-            relaxed = [] if self.definition.error else numbers
-            numbers = [*relaxed, (self.definition.value, self.definition.error or 0.0)]
-            means = self.definition.verdict
-        low = min(value - SIGNIFICANT * error for value, error in numbers)
-        high = max(value + SIGNIFICANT * error for value, error in numbers)
-        near = [limit for limit in measure.get("limits", []) if low <= limit <= high]
-        is_relaxed = self.definition is None and self.attribution.info.get("relaxed")
-        is_class = bool(means) and means != NO_SOURCE and not is_relaxed
-        doubt = f"too close to {near[0]:g} to be sure" if near and is_class else ""
-        if doubt and len(near) > 1:
-            doubt = f"too uncertain to be sure: {rounded(low)} to {rounded(high)} within two errors"
-        source = f" ({measure['source']})" if measure.get("source") and is_class else ""
-        return "; ".join(filter(None, [f"{means}{source}", doubt]))
+        value, error = self.attribution.metric_value, self.attribution.metric_standard_error
+        return rating_in_words(self.attribution.info, value, error, self.definition)
 
     def _relaxed(self) -> str:
         value, error = self.attribution.metric_value, self.attribution.metric_standard_error

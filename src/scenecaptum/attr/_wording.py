@@ -1,19 +1,47 @@
-"""The words for a change, an effect and a row of points in the sentences of an explanation."""
+"""The words for a rating, a change, an effect and a row of points in the sentences of an explanation."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 
+from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import format_with_error, metric_unit, rounded, signed_with_error, unit_of_change
-from ._findings import Row
+from ._findings import SIGNIFICANT, Definition, Row
 
 _MAP_NDIM = 3
 _MOVES = {"translation": "towards", "rotation": "about"}
+
+
+def rating_in_words(
+    info: Mapping[str, Any], value: float, error: float | None, definition: Definition | None
+) -> str:
+    """Return what a value means, by which source, and whether that is in doubt; empty without classes.
+
+    ``info`` is what ``TargetedMetric.describe`` says at this value. With a ``definition``, its value is rated.
+    """
+    numbers = [(value, error or 0.0)]
+    measure, means = info.get("measure") or {}, str(info.get("verdict") or "")
+    if definition is not None:
+        # Only where the error of the quoted value is not known does the relaxed one say how sure it is.
+        relaxed = [] if definition.error else numbers
+        numbers = [*relaxed, (definition.value, definition.error or 0.0)]
+        means = definition.verdict
+    low = min(number - SIGNIFICANT * its_error for number, its_error in numbers)
+    high = max(number + SIGNIFICANT * its_error for number, its_error in numbers)
+    near = [limit for limit in measure.get("limits", []) if low <= limit <= high]
+    is_relaxed = definition is None and info.get("relaxed")
+    is_class = bool(means) and means != NO_SOURCE and not is_relaxed
+    doubt = f"too close to {near[0]:g} to be sure" if near and is_class else ""
+    if doubt and len(near) > 1:
+        doubt = f"too uncertain to be sure: {rounded(low)} to {rounded(high)} within two errors"
+    source = f" ({measure['source']})" if measure.get("source") and is_class else ""
+    return "; ".join(filter(None, [f"{means}{source}", doubt]))
 
 
 def row_name(row: Row) -> str:

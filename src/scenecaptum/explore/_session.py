@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 
+from ..attr import rating_in_words
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import Metric, TargetedMetric
 from ..explanation import definition_of, photometric_premises, states_definition
@@ -19,7 +20,7 @@ from ..metrics import Measure
 from ..rendering import SceneRenderer
 from ..report import describe_objects
 from ..scene import scene_heading
-from ..visualization import automatic_exposure, rounded, unit_of_change
+from ..visualization import automatic_exposure, format_with_error, unit_of_change
 from ._channel import Channel
 
 MAX_NAME = 60  # characters of the name of a saved design
@@ -290,11 +291,16 @@ class Exploration:
     def _numbers(self, measured: Measured) -> list[dict[str, Any]]:
         """Return value, error and meaning of each metric, and what that takes for granted of the picture."""
         values = map(measured.value, range(len(self.designs.metrics)))
+        # Denoising takes longer than all else that is said of a picture.
+        metrics = [
+            one.with_transform(one.transform.remembering())
+            for one in self.designs.metrics_of(measured.design)
+        ]
         return [
             {
                 "value": value,
                 "error": error,
-                **_meaning(metric, value, measured.image),
+                **_meaning(metric, value, error, measured.images),
                 "premises": list(
                     photometric_premises(
                         metric.metric,
@@ -305,7 +311,7 @@ class Exploration:
                     )
                 ),
             }
-            for metric, (value, error) in zip(self.designs.metrics_of(measured.design), values, strict=True)
+            for metric, (value, error) in zip(metrics, values, strict=True)
         ]
 
     def _shown(self) -> list[str]:
@@ -344,13 +350,19 @@ def _encode(image: torch.Tensor) -> tuple[float, bytes]:
     return scale, (image / scale).half().numpy(force=True).astype("<f2").tobytes()
 
 
-def _meaning(metric: TargetedMetric, value: float, image: torch.Tensor) -> dict[str, str]:
-    """Return what a value means: where it is relaxed, what that by the definition means, and why it is hidden."""
-    exact = definition_of(metric, image[None]) if states_definition(metric, image) else None
+def _meaning(metric: TargetedMetric, value: float, error: float, images: torch.Tensor) -> dict[str, str]:
+    """Return what a value means: where it is relaxed, what that by the definition means, and why it is hidden.
+
+    ``images`` are the replicates of the picture.
+    """
+    image = images.mean(0)
+    exact = definition_of(metric, images) if states_definition(metric, image) else None
+    means = rating_in_words(metric.describe(value, image), value, error, exact)
     if exact is None:
-        return {"verdict": metric.verdict(value, image), "relaxed": ""}
+        return {"verdict": means, "relaxed": ""}
+    stated = f"{format_with_error(exact.value, exact.error)} by the definition"
     return {
-        "verdict": ": ".join(filter(None, [f"{rounded(exact.value, 4)} by the definition", exact.verdict])),
+        "verdict": ": ".join(filter(None, [stated, means])),
         "relaxed": "predictions need the derivatives of the relaxed value",
     }
 

@@ -7,6 +7,8 @@ const LAYERS = 3; // objects per pixel
 const OPERATORS = { dimmer: "*", offset: "+" }; // of changes, in Python and on the command line
 const UNRENDERED =
   "Changes are predicted to first order, not rendered. ± is the noise of the prediction only: a render can differ by more.";
+const PARTIAL = "This file has predictions only for the parameters with a slider.";
+const UNSTORED = "Designs last until this page is closed: the browser does not store them.";
 const NOTABLE = 0.01; // of the largest effect on a metric
 const CLEAR = 2; // errors from which a render and its prediction differ
 
@@ -234,9 +236,14 @@ class Page {
     this.commit();
   }
 
-  takeSaved({ designs }) {
+  takeSaved({ designs, note = "" }) {
     this.saved = designs.map((one) => ({ ...one, design: sorted(one.design) }));
     if (this.compared && !this.saved.some((one) => one.name === this.compared)) this.compared = null;
+    this.parts.unstored.textContent = note;
+    this.listSaved();
+  }
+
+  listSaved() {
     this.parts.saved.replaceChildren(...this.saved.map((one) => this.makeSaved(one)));
   }
 
@@ -585,6 +592,7 @@ class Page {
       onchange: (event) => this.add(event.target.value),
     });
     p.saved = make("ul", { class: "saved" });
+    p.unstored = make("p", { class: "muted" });
     p.name = make("input", {
       placeholder: "Name of this design",
       "aria-label": "Name of this design",
@@ -611,6 +619,7 @@ class Page {
         button("Save", () => this.save()),
       ),
       p.saved,
+      p.unstored,
       make(
         "div",
         { class: "tools" },
@@ -741,7 +750,7 @@ class Page {
       "Compare",
       () => {
         this.compared = this.compared === one.name ? null : one.name;
-        this.takeSaved({ designs: this.saved });
+        this.listSaved();
       },
       { "aria-pressed": String(this.compared === one.name), title: "hold B to see it" },
     );
@@ -784,16 +793,19 @@ class Page {
     this.choose(this.objects.weights[index] ? this.objects.objects[index] : "");
   }
 
-  /** Show the parameters of an object: those with a slider to go to, the others to add. */
+  /** Show the parameters of an object: those with a slider to go to, the others to add if something renders them. */
   choose(index) {
     this.parts.object.value = String(index);
     if (index === "") return this.parts.chosen.replaceChildren();
-    const names = this.objects.parameters[index];
+    const all = this.objects.parameters[index];
+    const names = this.isRecorded ? all.filter((name) => this.sliders.get(name)?.images.length) : all;
+    const left = names.length < all.length ? PARTIAL : all.length ? "" : "Nothing of it can be changed.";
     const entry = (name) =>
       button(`${this.rows.has(name) ? "" : "+ "}${this.scene.parameters[name]}`, () => this.add(name));
     this.parts.chosen.replaceChildren(
       make("h2", {}, this.objects.names[index]),
-      make("div", { class: "tools" }, ...(names.length ? names.map(entry) : ["Nothing of it can be changed."])),
+      make("div", { class: "tools" }, ...names.map(entry)),
+      make("p", { class: "muted" }, left),
     );
   }
 
@@ -948,18 +960,51 @@ function connect() {
   return { on, send };
 }
 
-/** The model of an offline page: it has all messages, and keeps saved designs itself. */
+/** Return a number for a text that hardly any other text has (FNV-1a). */
+function hashOf(text) {
+  let hash = 0x811c9dc5;
+  for (let index = 0; index < text.length; index += 1) hash = Math.imul(hash ^ text.charCodeAt(index), 0x01000193);
+  return hash >>> 0;
+}
+
+/** Saved designs that the browser stores under a key; where it refuses, they last until the page is closed. */
+function shelf(key) {
+  let kept = null; // here, where the browser has refused
+  return {
+    read() {
+      try {
+        return kept ?? JSON.parse(localStorage.getItem(key)) ?? [];
+      } catch {
+        kept = [];
+        return kept;
+      }
+    },
+    write(designs) {
+      try {
+        localStorage.setItem(key, JSON.stringify(designs));
+        kept = null;
+      } catch {
+        kept = designs;
+      }
+    },
+    isRefused: () => kept !== null,
+  };
+}
+
+/** The model of an offline page: it has all messages, and keeps saved designs in the browser. */
 function recorded(text) {
   const { on, tell } = hub();
-  let saved = [];
+  const saved = shelf(`scenecaptum ${text.length} ${hashOf(text)}`); // of this content: all files may share a storage
+  const tellSaved = () => tell({ type: "saved", designs: saved.read(), note: saved.isRefused() ? UNSTORED : "" });
   const play = async () => {
     for (const { buffers, ...message } of JSON.parse(text)) {
       tell(message, await Promise.all(buffers.map(async (buffer) => new DataView(await inflate(buffer)))));
     }
+    tellSaved();
   };
   const keep = ({ name }, more) => {
-    saved = [...saved.filter((one) => one.name !== name), ...more];
-    tell({ type: "saved", designs: saved });
+    saved.write([...saved.read().filter((one) => one.name !== name), ...more]);
+    tellSaved();
   };
   let design = {};
   const send = (content) => {
