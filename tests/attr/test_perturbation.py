@@ -493,7 +493,7 @@ def test_grouped_result_draws_saves_and_subtracts(cornell_small, tmp_path, group
     loaded = SceneAttribution.load(tmp_path / "one.npz")
     assert loaded.info["groups"] == one.info["groups"]
     torch.testing.assert_close(loaded.heatmap(), one.heatmap())
-    assert "effect of ablation" in str(loaded)
+    assert "loss of mean luminance (cd/m²) by ablation" in str(loaded)
     assert not any((one - loaded).saliency().values())
 
 
