@@ -213,6 +213,29 @@ def test_parameters_of_one_result_are_named_and_the_others_compared() -> None:
     assert "  noisy is of another size in B, and not compared" in text_of(before, other)
 
 
+def test_groups_and_parameters_are_compared_by_the_metric_alone() -> None:
+    before = results.make()
+    after = dataclasses.replace(
+        before,
+        attributions={"group": torch.tensor(1.0)},
+        info={**before.info, "quantity": "effect over the range"},
+    )
+    text = text_of(before, after)
+    assert not any(line.startswith("effect of") for line in text)
+    assert any("group is in B only" in line for line in text)
+
+
+def test_contributions_with_different_baselines_say_so() -> None:
+    """A change of the baseline alone is none of the lamp."""
+    before = results.make()
+    black, grey = (
+        dataclasses.replace(before, info={**before.info, "quantity": "contribution", "compared_with": words})
+        for words in ("all lights off", "grey")
+    )
+    assert "  compared with different baselines; A: all lights off; B: grey" in text_of(black, grey)
+    assert not any("compared with" in line for line in text_of(black, black))
+
+
 def compared(more: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[str, dict[str, Any]]:
     """Return what the command prints, and the data of its page."""
     assert cli.main(shlex.split(f"compare {more} --no-progress --out {folder}")) == 0

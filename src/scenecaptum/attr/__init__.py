@@ -26,6 +26,7 @@ __all__ = [
 from ._attribution import SceneAttribution as SceneAttribution
 from ._attribution import versions as versions
 from ._baseline_words import describe_baselines as describe_baselines
+from ._baseline_words import have_same_baselines as have_same_baselines
 from ._baselines import Baselines as Baselines
 from ._baselines import resolve_baselines as resolve_baselines
 from ._baselines import table_of as table_of

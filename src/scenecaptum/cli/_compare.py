@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -233,7 +234,8 @@ def _compare_scenes(options: argparse.Namespace) -> Compared:
 
 
 def _loaded_or_attributed(options: argparse.Namespace, given: str) -> Result:
-    if given.endswith(".npz"):
+    # By any name: a result may be saved under another.
+    if given.endswith(".npz") or zipfile.is_zipfile(given):
         loaded = SceneAttribution.load(given)
         if loaded.surfaces is None:
             raise SceneCaptumError(

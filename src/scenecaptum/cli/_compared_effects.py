@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import torch
 
-from ..attr import SceneAttribution, lights_switched, with_different_ranges
+from ..attr import SceneAttribution, have_same_baselines, lights_switched, with_different_ranges
 from ..report import Table, different_values
 from ..visualization import (
     Format,
@@ -78,6 +78,8 @@ def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[
     A light that is off in one of the results has no effect there.
     """
     before, after = _of_common_parameters(before, after)
+    if not before:  # such as groups in one and parameters in the other: of another quantity, too
+        return []
     own, others = ({row.name: row for row in one.ranking()} for one in (before, after))
     dark = [lights_switched(before, after) & one.lights_off() for one in (before, after)]
     found = []
@@ -124,6 +126,10 @@ def effect_table(
     below = [f"{mark} {text}" for text, mark in caution_marks(cautions).items()]
     below += [prefixed("~ ", note) for note in notes]
     below += [f"{NOISE} change within the noise"] if is_noisy else []
+    if not have_same_baselines(before.info, after.info):
+        baselines = (one.info.get("compared_with") or "none" for one in (before, after))
+        stated = (f"{title}: {baseline}" for title, baseline in zip(titles, baselines, strict=True))
+        below.append(f"compared with different baselines; {'; '.join(stated)}")
     return Table(
         f"effect: {axis_label(after, width=None)}{of_what}",
         ("effect of", *titles, f"change{unit}"),
