@@ -262,6 +262,7 @@ def test_a_group_counts_the_light_of_a_map_once(quantity, light):
     assert summed.info["groups"]["lights"] == ["sky.data", "sky.scale"]
     note = "sky.data: left out of groups with sky.scale, which is for all of its light"
     assert (note in range_notes(summed)) == (quantity != "contribution")
+    assert "shown" not in str(summed)
 
 
 @pytest.mark.parametrize("is_linear", [True, False])

@@ -556,7 +556,9 @@ def input_values(renderer: Renderer, inputs: Tensors | None) -> dict[str, torch.
     for name, value in values.items():
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             came = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
-            raise SceneCaptumError(f"{name!r} must be a floating point tensor, not {came}.")
+            raise SceneCaptumError(
+                f"{name!r} must be a floating point tensor, not {came}: torch.tensor([0.2, 0.2, 0.2]) is one."
+            )
     return {name: value.detach() for name, value in values.items()}
 
 

@@ -157,8 +157,10 @@ def count_of(names: Collection[str], shown: Collection[str]) -> str:
 def hidden_of(names: Collection[str], shown: Collection[str]) -> str:
     """Return how many parameters of a note have no row; empty if all have one."""
     hidden = len(set(names) - set(shown))
+    if not hidden:
+        return ""
     if hidden < len(names):
-        return f"{hidden} of them not shown" if hidden else ""
+        return f"{hidden} of them not shown"
     return "not shown" if hidden == 1 else "none of them shown"
 
 
