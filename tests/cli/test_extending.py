@@ -61,15 +61,25 @@ def test_a_sensor(mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
         assert attribute(tmp_path, "--sensor", name, "--metric", "illuminance") == 0
 
 
+@pytest.mark.parametrize(
+    ("title", "expected"),
+    [
+        ("An attribution method", "TrapezoidGradientScene"),
+        ("A method without derivatives", "HalvingScene"),
+    ],
+)
 def test_an_attribution_method(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    title: str,
+    expected: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    title = "An attribution method"
     for name, method in entry(title, code(title), NamedMethod=NamedMethod).items():
         monkeypatch.setitem(METHODS, name, method)
         assert attribute(tmp_path, "--method", name, "--json") == 0
         result = json.loads(capsys.readouterr().out)
-        assert result["info"]["method"] == "TrapezoidGradientScene"
+        assert result["info"]["method"] == expected
 
 
 def test_a_method_whose_contributions_are_those_of_integrated_gradients() -> None:
@@ -85,17 +95,6 @@ def test_a_method_whose_contributions_are_those_of_integrated_gradients() -> Non
         assert abs(effect - integrated.effects()[name]) <= 4 * error
     assert found.kind is integrated.kind
     assert "compared with: all lights off" in str(found)
-
-
-def test_a_method_without_derivatives(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    title = "A method without derivatives"
-    for name, method in entry(title, code(title), NamedMethod=NamedMethod).items():
-        monkeypatch.setitem(METHODS, name, method)
-        assert attribute(tmp_path, "--method", name, "--json") == 0
-        result = json.loads(capsys.readouterr().out)
-        assert result["info"]["method"] == "HalvingScene"
 
 
 def test_an_integrator(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,8 +59,8 @@ Result: TypeAlias = Any
 
 # If gradients are evaluated at other points, the metric at the inputs gets this fraction of the samples.
 INPUT_SAMPLE_FRACTION = 1 / 8
-# How many times the noise that biases the mean over noise of a picture, which is a third of that noise, leaves a
-# bias in spite of the jackknife: it falls more slowly with the samples than the jackknife assumes.
+# Of the noise that a smoothed metric tolerates: a picture with more is noisier than the smoothing, and its bias
+# falls more slowly with the samples than the jackknife assumes.
 UNCORRECTED = 3.0
 
 
