@@ -34,6 +34,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import _torchvision
 import torch
 from peers import Script
 
@@ -421,11 +422,10 @@ def resnet(options: argparse.Namespace) -> None:
 
 
 def _resnet(draws: int, spp: int) -> None:
-    from torchvision.models import ResNet50_Weights, resnet50
-
+    models = _torchvision.load().models
     torch.manual_seed(0)
-    network = resnet50(weights=None)
-    logit = metrics.ClassLogit(network, 559, ResNet50_Weights.IMAGENET1K_V2.transforms())
+    network = models.resnet50(weights=None)
+    logit = metrics.ClassLogit(network, 559, models.ResNet50_Weights.IMAGENET1K_V2.transforms())
     renderer = SceneRenderer(
         str(SCENES / "living-room" / "scene.xml"), INPUTS, resolution=(224, 224), spp=spp, max_depth=DEPTH
     )

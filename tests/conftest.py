@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import os
 import sys
 from pathlib import Path
@@ -134,23 +133,12 @@ def shared_scenes() -> Path:
     return folder
 
 
-_KEPT: list[Any] = []  # operators exist as long as the library that defined them
-
-
 @pytest.fixture(scope="session")
 def torchvision() -> Any:
-    """torchvision, with two operators added that its CUDA wheel lacks beside a CPU-only torch."""
+    """torchvision, also where its CUDA wheel stands beside a CPU-only torch."""
+    import _torchvision
+
     try:
-        return importlib.import_module("torchvision")
+        return _torchvision.load()
     except ModuleNotFoundError as error:
         pytest.skip(f"torchvision is not installed: {error}")
-    except RuntimeError as error:
-        if "torchvision::nms" not in str(error):
-            raise
-    for name in [name for name in sys.modules if name.partition(".")[0] == "torchvision"]:
-        del sys.modules[name]  # partially imported
-    library = torch.library.Library("torchvision", "FRAGMENT")
-    for name in ("nms", "qnms"):
-        library.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-    _KEPT.append(library)
-    return importlib.import_module("torchvision")
