@@ -834,7 +834,7 @@ def single_runs(results: Results) -> list[str]:
     count = results.case.counts[-1]
     lines = [
         f"| metric, P = {count} | " + " | ".join(PEERS) + " |",
-        "|---|" + "--:|" * len(PEERS),
+        "|---|" + "---|" * len(PEERS),  # sentences, which wrap only on the left
     ]
     for metric in results.case.metrics:
         costs = [results.costs[metric, count, peer] for peer in PEERS]
