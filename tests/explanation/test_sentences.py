@@ -239,6 +239,19 @@ def test_a_move_that_is_mostly_vertical_says_so():
     assert said(None, 0.0, 0.0, -1.0).endswith(" towards (0.0, 0.0, −1.0)")
 
 
+def test_a_move_into_the_floor_says_that_the_change_is_along_it():
+    def said(*direction: float, name: str = "desk.pose.translation") -> list[str]:
+        found = of_range(desk_pose_translation=(torch.tensor(direction), torch.zeros(3)))
+        info = {**found.info, "vectors": ["desk.pose.translation"], "up": 2}
+        found = dataclasses.replace(found, info=info)
+        move = Change(name, "desk: translation", torch.zeros(3), torch.tensor([0.5, 0.0, 0.0]), 0.1, 0.01)
+        return effects_of(Explanation(found, changes=(move,)))[1:]
+
+    assert said(0.1, 0.0, -1.0) == ["desk.pose.translation: the change below is along the floor, not down"]
+    assert said(1.0, 0.0, -0.1) == []
+    assert said(0.1, 0.0, -1.0, name="lamp.pose.translation") == []
+
+
 def test_a_note_is_on_effects_that_are_stated():
     found = of_range(
         floor=(torch.tensor(3.0), torch.tensor(0.5)), metal_alpha=(torch.tensor(-2.0), torch.tensor(0.02))

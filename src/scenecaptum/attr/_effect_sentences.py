@@ -91,8 +91,18 @@ class EffectSentences:
         ]
         above, below = self._larger_lines(unclear, abs(stated[0].effect))
         between = self._between_lines(unclear, stated)
-        notes = [*legend, *unit_notes(self.attribution, stated), *self._contribution_notes(), *jumps]
+        legend += [*self._floor_notes(stated), *unit_notes(self.attribution, stated)]
+        notes = [*legend, *self._contribution_notes(), *jumps]
         return [*above, *lines, *between, *below, *notes]
+
+    def _floor_notes(self, stated: Sequence[RankedParameter]) -> list[str]:
+        """Say of moves that point mostly up or down that the changes of the same objects are along the floor."""
+        changed = {change.name for change in self.changes}
+        return [
+            f"{in_words(row.label)}: the change below is along the floor, not {self._along(row.name).split()[-1]}"
+            for row in stated
+            if row.name in changed and self._along(row.name).endswith((", up", ", down"))
+        ]
 
     def _contribution_notes(self) -> list[str]:
         """Say what contributions are compared with, and if they do not add up or this is inconclusive."""
