@@ -75,7 +75,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--groups",
         action=Once,
         choices=GROUPS,
-        help="attribute to all parameters of a kind, material or object together",
+        help="attribute to all parameters of a kind, material or object together; to ablate a lamp, choose "
+        "object: without groups each colour channel is removed alone",
     )
     parser.add_argument(
         "--baselines",
