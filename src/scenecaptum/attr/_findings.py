@@ -23,12 +23,14 @@ class Source:
     name
         The object.
     place
-        The centre of its part in the picture, ``"top left"``, or of its parts: ``"left and right"``.
+        The centre of its share in the picture, ``"top left"``, or of its parts: ``"left and right"``. Parts with
+        little of its share do not count.
     share, share_error
         Its share of the whole picture's part in the metric, from 0 to 1, and the standard error: of glare sources
         the share of the sum of ``L² ω / P²``, of other metrics that of ``|∂M/∂I · I|``.
     luminance
-        The mean luminance of its part of the glare sources in cd/m²; None for other metrics.
+        The mean luminance of its part of the glare sources in cd/m², weighted by the share of each pixel in the
+        glare, so above a meter's mean; None for other metrics.
     """
 
     name: str
