@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pages import HEIGHT, NASTY, PHONE, VALUES, WIDTH, Page, data_of, make, quarters
+from pages import HEIGHT, NASTY, OBJECTS, PHONE, VALUES, WIDTH, Page, data_of, make, quarters
 from PIL import Image
 from seeds import shifted
 
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
-from scenecaptum.report import Comparison, write_report
+from scenecaptum.report import Comparison, describe_objects, write_report
 from scenecaptum.report._pixels import LAYERS, encode_picture, encode_surfaces
 from scenecaptum.visualization import Arrow, automatic_exposure, plot_heatmap, shown_render
 
@@ -85,6 +85,32 @@ def test_objects_are_coloured_as_in_the_heatmap(tmp_path):
     # Raising all parameters of the chair raises the metric, although one of them lowers it.
     signs = [math.copysign(1, one["signed"]) for one in result["objects"]]
     assert signs == [-1, 1, 1, 1]
+
+
+def with_sky() -> SceneAttribution:
+    """The chair is a sky, with a map of light and its scale."""
+    sky = {"chair.scale": torch.tensor(4.0), "chair.data": torch.ones(2, 2, 3) / 4}
+    surfaces = quarters(HEIGHT, WIDTH)
+    parameters = [
+        ("chair.scale", "chair.data") if "chair.alpha" in used else used for used in surfaces.parameters
+    ]
+    return make(
+        attributions={**sky, "floor.reflectance.value": torch.tensor([-1.0, 0.0, 0.0])},
+        covariance=None,
+        standard_error=None,
+        surfaces=dataclasses.replace(surfaces, parameters=tuple(parameters)),
+    )
+
+
+def test_a_map_of_light_is_left_out_of_its_object_beside_its_scale(tmp_path):
+    attribution = with_sky()
+    write_report(attribution, tmp_path / "report.html")
+    (result,) = data_of(tmp_path / "report.html")["results"]
+    sky = result["objects"][OBJECTS.index("chair")]
+    assert [result["rows"][row]["name"] for row in sky["rows"]] == ["chair.scale", "chair.data"]
+    assert (sky["mapped"], sky["magnitude"], sky["signed"], result["largest"]) == (1, 4, 4, 4)
+    explored = describe_objects(attribution.surfaces, attribution, [attribution])
+    assert explored["effects"][0][OBJECTS.index("chair")] == 4
 
 
 def with_texels() -> SceneAttribution:

@@ -24,7 +24,6 @@ from ._arrows import arrows as arrows
 from ._bars import plot_bars as plot_bars
 from ._effect_notes import range_marked as range_marked
 from ._effect_notes import range_notes as range_notes
-from ._effect_notes import scales_of_maps as scales_of_maps
 from ._figures import DEFAULT_TOP as DEFAULT_TOP
 from ._figures import LOWERS as LOWERS
 from ._figures import RAISES as RAISES
