@@ -102,13 +102,32 @@ def with_sky() -> SceneAttribution:
     )
 
 
-def test_a_map_of_light_is_left_out_of_its_object_beside_its_scale(tmp_path):
+def read(browser: Any, path: Path) -> tuple[str, str]:
+    """Return the caption, and what is said at the chair and the floor."""
+    page = Page(browser, path)
+    caption, tips = page.page.locator("#caption").inner_text(), page.hover(11, 1) + page.hover(4, 7)
+    page.check(path)
+    page.context.close()
+    return caption, tips
+
+
+def test_the_size_of_an_object_with_several_parameters_is_called_a_norm(browser, tmp_path):
+    write_report(make(), tmp_path / "report.html")
+    caption, tips = read(browser, tmp_path / "report.html")
+    assert "of an object with several: root of the sum of squares" in caption
+    assert tips.count("all together, root of the sum of squares: 0.33") == 1  # the chair, not the floor
+
+
+def test_a_map_of_light_is_left_out_of_its_object_beside_its_scale(browser, tmp_path):
     attribution = with_sky()
     write_report(attribution, tmp_path / "report.html")
     (result,) = data_of(tmp_path / "report.html")["results"]
     sky = result["objects"][OBJECTS.index("chair")]
     assert [result["rows"][row]["name"] for row in sky["rows"]] == ["chair.scale", "chair.data"]
     assert (sky["mapped"], sky["magnitude"], sky["signed"], result["largest"]) == (1, 4, 4, 4)
+    caption, tips = read(browser, tmp_path / "report.html")
+    assert "sum of squares" not in caption
+    assert "all together" not in tips
     explored = describe_objects(attribution.surfaces, attribution, [attribution])
     assert explored["effects"][0][OBJECTS.index("chair")] == 4
 
