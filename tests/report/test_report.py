@@ -519,7 +519,10 @@ def test_texels_are_painted_while_they_are_switched_on(browser, tmp_path):
     page = Page(browser, path)
     page.page.get_by_text("Signed", exact=True).click()
     assert page.colour("overlay", 9, 1) == page.colour("overlay", 14, 1)
+    each_texel = "each texel: effect of a whole texture that acts like it"
+    assert each_texel not in page.page.locator("#caption").inner_text()
     page.page.locator("#texels").check()
+    assert each_texel in page.page.locator("#caption").inner_text()
     left, right = page.colour("overlay", 9, 1), page.colour("overlay", 14, 1)
     assert left[0] > left[2]  # vermillion: that texel lowers the metric
     assert right[2] > right[0]  # blue: the texel outweighs the roughness

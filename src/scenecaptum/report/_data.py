@@ -56,6 +56,7 @@ from ..visualization import (
     shown_render,
     sign_labels,
     signed_with_error,
+    texel_meaning,
     unit_notes,
     unit_of_change,
     untrusted_groups,
@@ -354,6 +355,7 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
         return None
     maps = {"magnitude": False, "signed": True}
     return {
+        "meaning": texel_meaning(),
         "largest": _number(shared_maximum([attribution], texels=True)),
         **{
             name: encode_map(heatmap(attribution, texels=True, signed=signed, norm="linear"), signed=signed)

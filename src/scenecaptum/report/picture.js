@@ -182,7 +182,7 @@ function captionOf(result, scale) {
   if (sentences.length) pointing.push(`. ${sentences.join(" ")}`);
   const sign = scale.signed ? ", with the sign of the sum" : "";
   const norm = result.objects.some((one) => one.mapped > 1) ? [`of an object with several: root of the sum of squares${sign}`] : [];
-  const meaning = [axis, ...norm].join("; ");
+  const meaning = [axis, ...norm, ...(scale.texels && result.texels ? [result.texels.meaning] : [])].join("; ");
   if (!scale.signed) return [meaning, ...pointing];
   const unclear = result.objects.filter((one) => one.magnitude && !one.signed).length;
   if (unclear && !scale.texels) pointing.unshift(`; white: sign lost in the noise (${unclear} ${unclear === 1 ? "object" : "objects"})`);

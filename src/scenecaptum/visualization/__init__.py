@@ -110,6 +110,7 @@ from ._text import pack as pack
 from ._text import pluralize as pluralize
 from ._text import prefixed as prefixed
 from ._text import sign_labels as sign_labels
+from ._text import texel_meaning as texel_meaning
 from ._text import unit_of_change as unit_of_change
 from ._text import verdict as verdict
 from ._tonemap import automatic_exposure as automatic_exposure

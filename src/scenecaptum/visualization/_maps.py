@@ -55,6 +55,7 @@ from ._text import (
     metric_unit,
     pack,
     pluralize,
+    texel_meaning,
     unit_of_change,
 )
 from ._tonemap import display_image
@@ -279,7 +280,7 @@ def _map_title(
     )
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
     if options.get("texels"):
-        lines.append("each texel: effect of a whole texture that acts like it")
+        lines.append(texel_meaning())
     if signed:
         lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
