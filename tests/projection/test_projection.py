@@ -25,6 +25,7 @@ from scenecaptum.projection import (
     shared_maximum,
 )
 from scenecaptum.projection._cryptomatte import identifier, murmur3
+from scenecaptum.protocols import ResultKind
 
 relative = partial(heatmap, norm="linear")  # in proportion to the saliencies
 
@@ -62,6 +63,33 @@ def test_a_light_that_is_off_has_no_colour_and_sets_no_scale():
     assert shared_maximum([ranged]) > 50
     assert relative(ranged).max() == 1
     torch.testing.assert_close(relative(off, parameter="lamp"), torch.tensor([[1.0, 0.5]]))
+
+
+SKY = {"sky.scale": 3.0, "sky.data": [[[3.0]]], "floor": 4.0}
+
+
+def test_a_map_of_light_is_left_out_beside_its_scale():
+    """Both effects are those of the same light: together it would count √2 times."""
+    result = attribution((("sky.scale", "sky.data"), ("floor",)), **SKY)
+    torch.testing.assert_close(relative(result), torch.tensor([[0.75, 0.875]]))
+    brighter = attribution((("sky.scale", "sky.data"), ("floor",)), **SKY | {"sky.data": [[[9.0]]]})
+    assert shared_maximum([brighter]) == 4
+    alone = relative(brighter, parameter=["sky.data", "floor"])
+    torch.testing.assert_close(alone, torch.tensor([[1.0, 13 / 18]]))
+
+
+def test_contributions_of_a_map_of_light_and_its_scale_add_up():
+    result = attribution((("sky.scale", "sky.data"), ("floor",)), **SKY | {"sky.data": [[[4.0]]]})
+    shares = dataclasses.replace(result, info={"quantity": ResultKind.CONTRIBUTION.value})
+    torch.testing.assert_close(relative(shares), torch.tensor([[1.0, 0.9]]))
+
+
+def test_texels_of_a_map_of_light_are_shown_beside_its_scale():
+    result = attribution((("sky.scale", "sky.data"), ("floor",)), **SKY | {"sky.data": [[[4.0], [0.0]]]})
+    one = np.array([0, 1], np.int32)
+    texels = {"sky.data": TexelMap(entry=one, texel=one, weight=np.ones(2, np.float32))}
+    shown = dataclasses.replace(result, surfaces=dataclasses.replace(result.surfaces, texels=texels))
+    torch.testing.assert_close(relative(shown, texels=True), torch.tensor([[1.0, (0.6 + 0.8) / 2]]))
 
 
 def test_a_shared_parameter_paints_every_object_that_uses_it():

@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pages import HEIGHT, NASTY, PHONE, VALUES, WIDTH, Page, data_of, make, quarters
+from pages import HEIGHT, NASTY, OBJECTS, PHONE, VALUES, WIDTH, Page, data_of, make, quarters
 from PIL import Image
 from seeds import shifted
 
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
-from scenecaptum.report import Comparison, write_report
+from scenecaptum.report import Comparison, describe_objects, write_report
 from scenecaptum.report._pixels import LAYERS, encode_picture, encode_surfaces
 from scenecaptum.visualization import Arrow, automatic_exposure, plot_heatmap, shown_render
 
@@ -85,6 +85,51 @@ def test_objects_are_coloured_as_in_the_heatmap(tmp_path):
     # Raising all parameters of the chair raises the metric, although one of them lowers it.
     signs = [math.copysign(1, one["signed"]) for one in result["objects"]]
     assert signs == [-1, 1, 1, 1]
+
+
+def with_sky() -> SceneAttribution:
+    """The chair is a sky, with a map of light and its scale."""
+    sky = {"chair.scale": torch.tensor(4.0), "chair.data": torch.ones(2, 2, 3) / 4}
+    surfaces = quarters(HEIGHT, WIDTH)
+    parameters = [
+        ("chair.scale", "chair.data") if "chair.alpha" in used else used for used in surfaces.parameters
+    ]
+    return make(
+        attributions={**sky, "floor.reflectance.value": torch.tensor([-1.0, 0.0, 0.0])},
+        covariance=None,
+        standard_error=None,
+        surfaces=dataclasses.replace(surfaces, parameters=tuple(parameters)),
+    )
+
+
+def read(browser: Any, path: Path) -> tuple[str, str]:
+    """Return the caption, and what is said at the chair and the floor."""
+    page = Page(browser, path)
+    caption, tips = page.page.locator("#caption").inner_text(), page.hover(11, 1) + page.hover(4, 7)
+    page.check(path)
+    page.context.close()
+    return caption, tips
+
+
+def test_the_size_of_an_object_with_several_parameters_is_called_a_norm(browser, tmp_path):
+    write_report(make(), tmp_path / "report.html")
+    caption, tips = read(browser, tmp_path / "report.html")
+    assert "of an object with several: root of the sum of squares" in caption
+    assert tips.count("all together, root of the sum of squares: 0.33") == 1  # the chair, not the floor
+
+
+def test_a_map_of_light_is_left_out_of_its_object_beside_its_scale(browser, tmp_path):
+    attribution = with_sky()
+    write_report(attribution, tmp_path / "report.html")
+    (result,) = data_of(tmp_path / "report.html")["results"]
+    sky = result["objects"][OBJECTS.index("chair")]
+    assert [result["rows"][row]["name"] for row in sky["rows"]] == ["chair.scale", "chair.data"]
+    assert (sky["mapped"], sky["magnitude"], sky["signed"], result["largest"]) == (1, 4, 4, 4)
+    caption, tips = read(browser, tmp_path / "report.html")
+    assert "sum of squares" not in caption
+    assert "all together" not in tips
+    explored = describe_objects(attribution.surfaces, attribution, [attribution])
+    assert explored["effects"][0][OBJECTS.index("chair")] == 4
 
 
 def with_texels() -> SceneAttribution:
@@ -474,7 +519,10 @@ def test_texels_are_painted_while_they_are_switched_on(browser, tmp_path):
     page = Page(browser, path)
     page.page.get_by_text("Signed", exact=True).click()
     assert page.colour("overlay", 9, 1) == page.colour("overlay", 14, 1)
+    each_texel = "each texel: effect of a whole texture that acts like it"
+    assert each_texel not in page.page.locator("#caption").inner_text()
     page.page.locator("#texels").check()
+    assert each_texel in page.page.locator("#caption").inner_text()
     left, right = page.colour("overlay", 9, 1), page.colour("overlay", 14, 1)
     assert left[0] > left[2]  # vermillion: that texel lowers the metric
     assert right[2] > right[0]  # blue: the texel outweighs the roughness

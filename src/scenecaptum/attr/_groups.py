@@ -11,9 +11,9 @@ import torch
 
 from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..estimation import channel_totals
-from ..protocols import Capabilities, Renderer, ResultKind
+from ..projection import light_maps_left_out
+from ..protocols import Capabilities, Renderer
 from ..scene import Parameter
-from ..visualization import scales_of_maps
 from ._baselines import table_of
 from ._data import AttributionData, covariances
 
@@ -22,8 +22,6 @@ Groups: TypeAlias = "str | Mapping[str, str | Iterable[str]] | None"
 A = TypeVar("A", bound=AttributionData)
 
 GROUPS = ("kind", "material", "object")
-# Quantities that add up: a change is divided among the parameters that make it together.
-SHARES = {ResultKind.CONTRIBUTION, ResultKind.SHAPLEY_VALUE}
 
 
 def resolve_groups(
@@ -166,7 +164,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     """
     kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), dict(attribution.weights())
     maps = {
-        group: {} if kind in SHARES else scales_of_maps({name: attribution[name].ndim for name in names})
+        group: light_maps_left_out(kind, {name: attribution[name] for name in names})
         for group, names in members.items()
     }
     groups = {group: list(names) for group, names in members.items()}

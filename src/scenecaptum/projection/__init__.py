@@ -12,6 +12,8 @@ __all__ = [
 ]
 
 from ._export import export as export
+from ._light_maps import TEXTURE_NDIM as TEXTURE_NDIM
+from ._light_maps import light_maps_left_out as light_maps_left_out
 from ._pixels import ProjectedPixels as ProjectedPixels
 from ._pixels import project_pixels as project_pixels
 from ._pixels import sum_over_objects as sum_over_objects
@@ -20,6 +22,7 @@ from ._projection import DEFAULT_NORM as DEFAULT_NORM
 from ._projection import MapNorm as MapNorm
 from ._projection import clear_sum as clear_sum
 from ._projection import heatmap as heatmap
+from ._projection import mapped_parameters as mapped_parameters
 from ._projection import normalized as normalized
 from ._projection import objects_of_unclear_sign as objects_of_unclear_sign
 from ._projection import shared_maximum as shared_maximum

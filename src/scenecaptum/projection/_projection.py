@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..errors import SceneCaptumError, near_misses
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
+from ._light_maps import TEXTURE_NDIM, light_maps_left_out
 from ._surfaces import SurfaceMap, TexelMap
 
 Names: TypeAlias = "str | Sequence[str] | None"
@@ -49,11 +50,12 @@ def heatmap(
     >>> top = shared_maximum([before, after])  # doctest: +SKIP
     >>> heatmap(before, maximum=top), heatmap(after, maximum=top)  # doctest: +SKIP
 
-    The saliency of an object is the ℓ2 norm over the parameters of all its materials, emitters and media; for an
-    attribution to groups, over the groups that contain any of these. The map is normalized by the largest saliency
-    of any object, parameter or group, visible or not. It never exceeds 1, and its maximum is below 1 if the most
-    salient object is not visible. Lights that rank last (``ranked_last``) have no colour. Figures, ``export`` and
-    the report show this map, on the same default scale.
+    The saliency of an object is the ℓ2 norm, the root of the sum of squares, over the parameters of all its
+    materials, emitters and media; for an attribution to groups, over the groups that contain any of these. A map
+    of light is left out beside its ``scale``, whose effect is that of all its light. The heatmap
+    is normalized by the largest saliency of any object, parameter or group, visible or not. It never exceeds 1,
+    and its maximum is below 1 if the most salient object is not visible. Lights that rank last (``ranked_last``)
+    have no colour. Figures, ``export`` and the report show this heatmap, on the same default scale.
 
     Parameters
     ----------
@@ -162,7 +164,7 @@ def objects_of_unclear_sign(
     A signed map is 0 there. Objects without an effect are not counted; the options are those of ``heatmap``.
     """
     surfaces = surfaces_of(attribution, surfaces)
-    selected = set(_mapped(attribution, parameter, scale))
+    selected = set(mapped_parameters(attribution, parameter, scale))
     rows = {row.name: row for row in attribution.ranking(scale=scale) if row.name in selected}
     visible = np.unique(surfaces.object_index[surfaces.fraction > 0])
     used = used_by_objects(attribution, surfaces, rows)
@@ -209,12 +211,13 @@ def _entries(
     attribution: Attribution, surfaces: SurfaceMap, parameter: Names, texels: bool, scale: Scale | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
     """Return the saliency and sign of each entry of the surface map, and the largest saliency."""
-    selected = _mapped(attribution, parameter, scale)
-    saliency = {name: value for name, value in attribution.saliency(scale).items() if name in selected}
+    mapped = mapped_parameters(attribution, parameter, scale)
+    saliency = {name: value for name, value in attribution.saliency(scale).items() if name in mapped}
     rows, factors = {row.name: row for row in attribution.ranking(scale=scale)}, attribution.factors(scale)
     is_norm = attribution.ranks_by_norm(scale)
     params_by_object = used_by_objects(attribution, surfaces, saliency)
-    textures = _texel_maps(attribution, surfaces, selected) if texels else {}
+    # Those of a map of light that is left out beside its scale, too.
+    textures = _texel_maps(attribution, surfaces, _colored(attribution, parameter, scale)) if texels else {}
 
     objects = [math.hypot(*(saliency[name] for name in names)) for names in params_by_object]
     largest = max([*objects, *saliency.values()], default=0.0)
@@ -239,7 +242,7 @@ def _texel_maps(
 ) -> dict[str, TexelMap]:
     """Return the texel maps of the selected textures; groups have none."""
     texel_maps = {name: surfaces.texels[name] for name in selected if name in surfaces.texels}
-    if not texel_maps and any(attribution[name].ndim in (2, IMAGE) for name in selected):
+    if not texel_maps and any(attribution[name].ndim in (2, TEXTURE_NDIM) for name in selected):
         raise SceneCaptumError(
             "It is not known which texels the pixels show: attribute with a SceneRenderer of one camera, or give "
             "surfaces=renderer.surfaces_with_texels(...)."
@@ -247,7 +250,17 @@ def _texel_maps(
     return texel_maps
 
 
-def _mapped(attribution: Attribution, parameter: Names, scale: Scale | None) -> list[str]:
+def mapped_parameters(
+    attribution: Attribution, parameter: Names = None, scale: Scale | None = None
+) -> list[str]:
+    """Return the selected parameters that make up the saliency of objects, without maps of light counted twice."""
+    colored = _colored(attribution, parameter, scale)
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    left_out = light_maps_left_out(kind, {name: attribution[name] for name in colored})
+    return [name for name in colored if name not in left_out]
+
+
+def _colored(attribution: Attribution, parameter: Names, scale: Scale | None) -> list[str]:
     """Return the selected parameters that have a colour, without poses that jump and lights that rank last.
 
     A map of nothing but such lights shows them.

@@ -14,7 +14,15 @@ from numpy.typing import NDArray
 from ..attr import Explanation
 from ..errors import SceneCaptumError
 from ..estimation import student_t
-from ..projection import SurfaceMap, clear_sum, heatmap, shared_maximum, used_by_objects, views_without_map
+from ..projection import (
+    SurfaceMap,
+    clear_sum,
+    heatmap,
+    mapped_parameters,
+    shared_maximum,
+    used_by_objects,
+    views_without_map,
+)
 from ..protocols import Attribution, RankedParameter, ResultKind
 from ..scene import with_unit
 from ..visualization import (
@@ -48,6 +56,7 @@ from ..visualization import (
     shown_render,
     sign_labels,
     signed_with_error,
+    texel_meaning,
     unit_notes,
     unit_of_change,
     untrusted_groups,
@@ -183,10 +192,8 @@ def describe_objects(
     view, shown = _view(surfaces)
     signed = []
     for attribution in attributions:
-        jumps = attribution.info.get("jumps", {})
-        left_out = {*jumps, *attribution.ranked_last()}
-        effects = {name: effect for name, effect in attribution.effects().items() if name not in left_out}
-        used = used_by_objects(attribution, surfaces, effects)
+        effects = attribution.effects()
+        used = used_by_objects(attribution, surfaces, mapped_parameters(attribution))
         signed.append([sum(effects[name] for name in used[index]) for index in shown])
     parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
     return {**view, "parameters": parameters, "effects": signed, "maps": color_maps()}
@@ -245,8 +252,8 @@ def _result(
     row_index = {row.name: row.rank - 1 for row in ranking}
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
-    last = attribution.ranked_last()
-    mapped = [[index for index in rows if ranking[index].name not in last] for rows in object_rows]
+    colored = {row_index[name] for name in mapped_parameters(attribution)}
+    mapped = [[index for index in rows if index in colored] for rows in object_rows]
     saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in mapped]
     sums = [clear_sum(attribution, [ranking[index] for index in rows]) for rows in mapped]
     return {
@@ -289,6 +296,7 @@ def _result(
         "objects": [
             {
                 "rows": object_rows[i],
+                "mapped": len(mapped[i]),
                 "magnitude": _number(saliencies[i]),
                 # As in ``heatmap``.
                 "signed": _number(math.copysign(saliencies[i], sums[i]) if sums[i] else 0.0),
@@ -296,9 +304,7 @@ def _result(
             for i in shown
         ],
         # Including objects that no pixel shows, as in ``heatmap``.
-        "largest": _number(
-            max([*(row.saliency for row in ranking if row.name not in last), *saliencies], default=0.0)
-        ),
+        "largest": _number(max([*(ranking[index].saliency for index in colored), *saliencies], default=0.0)),
         "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in mapped[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
@@ -349,6 +355,7 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
         return None
     maps = {"magnitude": False, "signed": True}
     return {
+        "meaning": texel_meaning(),
         "largest": _number(shared_maximum([attribution], texels=True)),
         **{
             name: encode_map(heatmap(attribution, texels=True, signed=signed, norm="linear"), signed=signed)

@@ -3,7 +3,7 @@
 const TIP_ROWS = 5;
 
 function tipOf(result, view, object) {
-  const { rows, magnitude } = result.objects[object];
+  const { rows, mapped, magnitude } = result.objects[object];
   const lines = rows.slice(0, TIP_ROWS).map((index) => {
     const row = result.rows[index];
     return make("tr", {}, make("td", {}, ...breakable(row.label), ...markOf(row, result)), make("td", {}, valueOf(row) ?? ""),
@@ -14,7 +14,7 @@ function tipOf(result, view, object) {
     make("p", { class: "tip-name" }, view.names[object]),
     rows.length ? make("table", {}, make("tbody", {}, ...lines)) : make("p", { class: "muted" }, "none of its parameters was asked about"),
     more ? make("p", { class: "muted" }, more) : null,
-    rows.length > 1 ? make("p", { class: "muted" }, `all together: ${brief(magnitude)}`) : null,
+    mapped > 1 ? make("p", { class: "muted" }, `all together, root of the sum of squares: ${brief(magnitude)}`) : null,
   ].filter(Boolean);
 }
 

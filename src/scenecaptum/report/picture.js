@@ -180,11 +180,14 @@ function captionOf(result, scale) {
     result.isNoise && !scale.texels ? "No effect is clear enough to stand out among so many: a colour may be due to chance." : "",
   ].filter(Boolean);
   if (sentences.length) pointing.push(`. ${sentences.join(" ")}`);
-  if (!scale.signed) return [axis, ...pointing];
+  const sign = scale.signed ? ", with the sign of the sum" : "";
+  const norm = result.objects.some((one) => one.mapped > 1) ? [`of an object with several: root of the sum of squares${sign}`] : [];
+  const meaning = [axis, ...norm, ...(scale.texels && result.texels ? [result.texels.meaning] : [])].join("; ");
+  if (!scale.signed) return [meaning, ...pointing];
   const unclear = result.objects.filter((one) => one.magnitude && !one.signed).length;
   if (unclear && !scale.texels) pointing.unshift(`; white: sign lost in the noise (${unclear} ${unclear === 1 ? "object" : "objects"})`);
   return [
-    `${axis}; all parameters of an object together: `,
+    `${meaning}; `,
     make("span", { class: "sign lowers" }, "▼"), `${result.signs[1]}, `, make("span", { class: "sign raises" }, "▲"), result.signs[0],
     ...pointing,
   ];

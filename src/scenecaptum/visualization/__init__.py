@@ -24,7 +24,6 @@ from ._arrows import arrows as arrows
 from ._bars import plot_bars as plot_bars
 from ._effect_notes import range_marked as range_marked
 from ._effect_notes import range_notes as range_notes
-from ._effect_notes import scales_of_maps as scales_of_maps
 from ._figures import DEFAULT_TOP as DEFAULT_TOP
 from ._figures import LOWERS as LOWERS
 from ._figures import RAISES as RAISES
@@ -111,6 +110,7 @@ from ._text import pack as pack
 from ._text import pluralize as pluralize
 from ._text import prefixed as prefixed
 from ._text import sign_labels as sign_labels
+from ._text import texel_meaning as texel_meaning
 from ._text import unit_of_change as unit_of_change
 from ._text import verdict as verdict
 from ._tonemap import automatic_exposure as automatic_exposure

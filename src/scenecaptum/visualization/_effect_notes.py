@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 
+from ..projection import light_maps_left_out
 from ..protocols import Attribution, ResultKind, Scale
 from ..student import clear_from
 from ._layout import first_few
@@ -14,7 +15,6 @@ _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 # Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
 _LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
-TEXTURE_NDIM = 3
 RENDER = "render the change"
 _NOTABLE = 0.1  # of the largest effect
 
@@ -73,16 +73,11 @@ def _named(attribution: Attribution, names: Sequence[str], *, of: int | None = N
     return first_few([attribution.labels.get(name, name) for name in names], "; ", of=of)
 
 
-def scales_of_maps(axes: Mapping[str, int]) -> dict[str, str]:
-    """Return the maps of light whose scale is a parameter, too, with its name, by the axes of all parameters."""
-    scales = {name: f"{name.rpartition('.')[0]}.scale" for name, ndim in axes.items() if ndim == TEXTURE_NDIM}
-    return {name: scale for name, scale in scales.items() if scale in axes}
-
-
 def _map_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
     """Return a note on each map of light: it changes alike in all texels, and its scale switches it on."""
     labels, notes = attribution.labels, dict[str, list[str]]()
-    for name, scale in scales_of_maps({name: attribution[name].ndim for name in attribution}).items():
+    effects = {name: attribution[name] for name in attribution}
+    for name, scale in light_maps_left_out(ResultKind.EFFECT, effects).items():
         if name in shown:
             of_light = f"{labels.get(scale, scale)}: for all of its light"
             notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]

@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 from functools import partial
 
+from ..projection import TEXTURE_NDIM
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
-from ._effect_notes import TEXTURE_NDIM, range_marked, range_notes
+from ._effect_notes import range_marked, range_notes
 from ._layout import first_few
 from ._numbers import shorten
 from ._text import FINDING_WIDTH, metric_name

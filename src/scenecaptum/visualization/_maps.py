@@ -14,6 +14,7 @@ from ..projection import (
     DEFAULT_NORM,
     MapNorm,
     heatmap,
+    mapped_parameters,
     normalized,
     objects_of_unclear_sign,
     used_by_objects,
@@ -54,6 +55,7 @@ from ._text import (
     metric_unit,
     pack,
     pluralize,
+    texel_meaning,
     unit_of_change,
 )
 from ._tonemap import display_image
@@ -278,7 +280,7 @@ def _map_title(
     )
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
     if options.get("texels"):
-        lines.append("each texel: effect of a whole texture that acts like it")
+        lines.append(texel_meaning())
     if signed:
         lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
@@ -286,11 +288,11 @@ def _map_title(
 
 def _largest(attribution: Attribution, scale: Scale | None, is_selection: bool) -> str:
     """Return what a map is relative to, with the name of a camera's effect, which no pixel shows."""
-    ranking = attribution.ranking(scale=scale)
-    first, saliency = ranking[0], {row.name: row.saliency for row in ranking}
+    first, saliency = attribution.ranking(scale=scale)[0], attribution.saliency(scale)
     if is_selection or attribution.surfaces is None or not is_of_camera(first.name):
         return "the largest"
-    objects = used_by_objects(attribution, attribution.surfaces, saliency)
+    mapped = mapped_parameters(attribution, scale=scale)
+    objects = used_by_objects(attribution, attribution.surfaces, mapped)
     if (
         max((math.hypot(*(saliency[name] for name in names)) for names in objects), default=0)
         > first.saliency

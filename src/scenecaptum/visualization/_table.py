@@ -177,7 +177,8 @@ def _table(
     if textures:
         is_occlusion = attribution.kind is ResultKind.OCCLUSION
         notes.append(
-            "Σ grows with the number of texels, each of which has the effect of its patch: see the map"
+            "Σ grows with the number of texels and channels: each has the effect of its patch, which is "
+            "replaced in all channels at once"
             if is_occlusion
             else "Σ totals over the texels, vertices or faces"
         )

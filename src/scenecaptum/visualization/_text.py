@@ -139,6 +139,11 @@ def color_meanings(attribution: Attribution) -> str:
     return f"blue {more} the {subject}, orange {less} it"
 
 
+def texel_meaning() -> str:
+    """Return what a map with single texels shows of them."""
+    return "each texel: effect of a whole texture that acts like it"
+
+
 def is_of_camera(name: str) -> bool:
     """Whether a parameter belongs to the camera, which is in no picture and moves all of it."""
     return name.startswith("camera.")

@@ -517,7 +517,7 @@ class Page {
       image.data.set([table[color], table[color + 1], table[color + 2], covered], 4 * pixel);
     }
     context.putImageData(image, 0, 0);
-    caption.textContent = `Effects over the ranges of the parameters, up to ${short(Number(largest.toPrecision(2)))}${unit && ` ${unit}`}${signed ? "; blue raises the metric, orange lowers it" : ""}.`;
+    caption.textContent = `Effects over the ranges of the parameters, added up for each object, up to ${short(Number(largest.toPrecision(2)))}${unit && ` ${unit}`}${signed ? "; blue raises the metric, orange lowers it" : ""}.`;
   }
 
   layout() {
