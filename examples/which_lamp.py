@@ -1,9 +1,9 @@
 """Attribute the brightness and the glare of the office to its lamps.
 
 The effect of a radiance over its range, from off to its value, is the contribution of the lamp: mean luminance is
-linear in the light, so the contributions of all lamps add up to the whole. The glare rating is not linear: its effects
-are of first order, for lamps that are dimmed a little, and a lamp out of sight lowers it. Prints the effects of all
-lamps, and draws them as bars.
+linear in the light, so the contributions of all lamps add up to the whole. The glare rating is not linear: its
+effects are of first order, for lamps that are dimmed a little, and a lamp out of sight lowers it. Prints the
+effects of all lamps, and draws them as bars.
 
     python examples/which_lamp.py [--out out/which-lamp] [--resolution 160x90] [--spp 128]
 """

@@ -247,6 +247,21 @@ def test_occlusion_error_bars_are_the_spread_over_repeats():
     check_error_bars(totals, torch.stack([one.covariance["paper"].diagonal().sqrt() for one in repeats]))
 
 
+def test_the_noise_that_two_scenes_share_is_denoised_only_on_request(cornell):
+    """The denoiser changes each of them in its own way, so that their noise cancels no longer."""
+
+    def bright_part(image: torch.Tensor) -> torch.Tensor:
+        return torch.sigmoid((image.mean(-1) - 0.3) / 0.05).mean()
+
+    def run(**options) -> SceneAttribution:
+        method = FeatureAblationScene(cornell, bright_part)
+        return method.attribute(groups="kind", baselines={"reflectance": 0.5}, spp=48, seed=0, **options)
+
+    plain, default, denoised = run(denoise=False), run(), run(denoise=True)
+    assert default["reflectance"] == plain["reflectance"] != denoised["reflectance"]
+    assert [one.info["picture"]["denoised"] for one in (plain, default, denoised)] == [False, False, True]
+
+
 def test_shared_samples_cancel_where_arms_agree():
     """The noise of a difference of two arms is far below that of the metric itself."""
     renderer = PartsRenderer(noise=0.3)

@@ -68,8 +68,11 @@ class FeatureAblationScene(Perturbation):
 
         Parameters
         ----------
-        inputs, target, denoise, checkpoint, executor, show_progress
+        inputs, target, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
+        denoise
+            As for ``VanillaSceneGradient``, but ``"auto"`` does not denoise: most of the noise of two scenes
+            cancels in their difference, and the denoiser would bring a part of it back.
         baselines
             Values of ablated features: None (emitters and reflectances 0, everything else unchanged), ``"dark"``,
             ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer. Inputs that a

@@ -14,6 +14,7 @@ from ..checkpoint import Stopwatch
 from ..errors import SceneCaptumError
 from ..estimation import (
     Budget,
+    Denoise,
     Metric,
     SampleOption,
     TargetedMetric,
@@ -124,7 +125,7 @@ class Perturbation:
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
             selector = TransformSelector(
-                settings.denoise, renderer, arms[0].values(), smoothed=metrics[0].is_smoothed
+                _denoise(settings.denoise), renderer, arms[0].values(), smoothed=metrics[0].is_smoothed
             )
             metrics = tuple(with_image_transform(metrics, images, selector))
             values, first = _pseudo_values(metrics, images, arms[0].description)
@@ -283,6 +284,15 @@ def _pseudo_values(
     count = len(images)
     unchanged = values(torch.arange(count))
     return unchanged, unchanged[None] if count == 1 else pseudo_values(values, count)
+
+
+def _denoise(mode: Denoise) -> Denoise:
+    """Return what to denoise: nothing unless asked to.
+
+    With common random numbers, most of the noise of two renders cancels in their difference. The denoiser undoes
+    this: it changes each of them in its own way, and the replicates of a scene share most of that.
+    """
+    return False if mode == "auto" else mode
 
 
 def _evaluate(metrics: Sequence[TargetedMetric], image: torch.Tensor, scene: str) -> torch.Tensor:

@@ -79,8 +79,10 @@ class ShapleyValueScene(Perturbation):
 
         Parameters
         ----------
-        inputs, target, denoise, checkpoint, executor, show_progress
+        inputs, target, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
+        denoise
+            As for ``FeatureAblationScene``.
         baselines
             Values of players that have not joined, as for ``FeatureAblationScene``: inputs that a mapping does not
             name take the default, 0 for emitters and reflectances.

@@ -355,7 +355,7 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
         return None
     maps = {"magnitude": False, "signed": True}
     return {
-        "meaning": texel_meaning(),
+        "meaning": texel_meaning(attribution),
         "largest": _number(shared_maximum([attribution], texels=True)),
         **{
             name: encode_map(heatmap(attribution, texels=True, signed=signed, norm="linear"), signed=signed)

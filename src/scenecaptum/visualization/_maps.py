@@ -280,7 +280,7 @@ def _map_title(
     )
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
     if options.get("texels"):
-        lines.append(texel_meaning())
+        lines.append(texel_meaning(attribution))
     if signed:
         lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))

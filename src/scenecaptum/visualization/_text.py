@@ -139,8 +139,10 @@ def color_meanings(attribution: Attribution) -> str:
     return f"blue {more} the {subject}, orange {less} it"
 
 
-def texel_meaning() -> str:
+def texel_meaning(attribution: Attribution) -> str:
     """Return what a map with single texels shows of them."""
+    if attribution.kind is ResultKind.OCCLUSION:
+        return "each texel: in proportion to the effect of its patch"
     return "each texel: effect of a whole texture that acts like it"
 
 
