@@ -104,8 +104,8 @@ def test_another_scene_and_named_values_that_are_unchanged(cornell):
 def test_maps_have_their_mean_and_renderers_without_a_table_zeros():
     room = Room()
     info = words(room, {"map": torch.tensor([[[0.0]], [[0.5]], [[0.5]], [[1.0]]])})
-    assert info["compared_with"] == "map a mean of 0.5; all other inputs at their default baselines (0)"
-    assert info["baselines"] == {"x": "0", "y": "0", "map": "a mean of 0.5"}
+    assert info["compared_with"] == "map with a mean of 0.5; all other inputs at their default baselines (0)"
+    assert info["baselines"] == {"x": "0", "y": "0", "map": "with a mean of 0.5"}
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_inputs_that_the_default_baselines_leave_unchanged_are_named(mi, method)
     attribution = method(renderer, torch.mean).attribute(seed=shifted())
     assert attribution.info["baselines"]["short_box_shape.bsdf.alpha.value"] == "unchanged"
     defaults = "compared with: lights and reflectances 0, all other inputs unchanged"
-    note = f"{defaults}; unchanged, so that its 0 says nothing: {attribution.labels[inputs[0]]}"
+    note = f"{defaults}; compared with itself, so that its 0 says nothing: {attribution.labels[inputs[0]]}"
     for text in (table_text(attribution), all_text(plot_bars(attribution))):
         assert note in " ".join(text.split())
 
@@ -150,9 +150,8 @@ def test_inputs_that_a_mapping_leaves_unchanged_are_named_apart_from_the_default
     renderer = SceneRenderer(scene, [*metal, FLOOR, LIGHT], resolution=(4, 4), spp=16, max_depth=3)
     attribution = FeatureAblationScene(renderer, torch.mean).attribute(baselines={metal[0]: 0.5})
     labels = renderer.labels
-    note = (
-        f"{labels[metal[0]]} 0.5; {DEFAULTS}; unchanged, so that their 0 says nothing: {labels[metal[1]]}; "
-    )
+    unchanged = f"compared with themselves, so that their 0 says nothing: {labels[metal[1]]}; "
+    note = f"{labels[metal[0]]} 0.5; {DEFAULTS}; {unchanged}"
     for text in (table_text(attribution), all_text(plot_bars(attribution))):
         assert note + labels[metal[2]] in " ".join(text.split())
 
@@ -162,7 +161,7 @@ def test_groups_count_the_inputs_that_are_unchanged():
     kept = {"x": room.inputs["x"], "y": 0.5, "map": 0.25}
     groups = {"all of it": ["x", "y", "map"]}
     attribution = FeatureAblationScene(room, torch.mean).attribute(baselines=kept, groups=groups, spp=16)
-    note = "y 0.5; map 0.25; all other inputs unchanged; unchanged in these groups: 1 input"
+    note = "y 0.5; map 0.25; all other inputs unchanged; compared with itself: 1 input of these groups"
     assert note in " ".join(table_text(attribution).split())
 
 

@@ -177,6 +177,13 @@ def test_titles_differ(files: tuple[str, str], titles: list[str]) -> None:
     assert _compare._titles(*files) == titles
 
 
+def test_a_design_with_other_values_is_called_changed() -> None:
+    assert _compare._design_titles(Path("evening.json"), Path("evening.json")) == [
+        "evening",
+        "evening, changed",
+    ]
+
+
 def test_designs_are_called_by_their_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name, factor in (("first", 0.5), ("second", 0.8)):
         (tmp_path / name).mkdir()

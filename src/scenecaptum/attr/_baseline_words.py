@@ -120,4 +120,4 @@ def _written(baseline: torch.Tensor, value: torch.Tensor | None = None) -> str:
     if channels.shape[-1] > _MAX_CHANNELS:
         return "the given values"
     is_uniform = torch.equal(channels, channels[:1].expand_as(channels))
-    return f"{'' if is_uniform else 'a mean of '}{value_in_words(baseline)}"
+    return f"{'' if is_uniform else 'with a mean of '}{value_in_words(baseline)}"

@@ -284,6 +284,8 @@ def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[Scene
 
 
 def _design_titles(origin: Path | None, design: Path | None) -> list[str]:
+    if origin is not None and origin == design:  # and what --set changes
+        return [_name(origin), f"{_name(origin)}, changed"]
     if origin is not None and design is not None:
         return _titles(origin, design)
     return [

@@ -225,9 +225,18 @@ def _unchanged(attribution: Attribution) -> str:
     names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
     rows = [name for name in names if name in attribution]
     if not rows:
-        return f"; unchanged in these groups: {pluralize(len(names), 'input')}" if names else ""
+        return (
+            f"; compared with {_itself(names)}: {pluralize(len(names), 'input')} of these groups"
+            if names
+            else ""
+        )
     named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
-    return f"; unchanged, so that {'its' if len(rows) == 1 else 'their'} 0 says nothing: {named}"
+    its = "its" if len(rows) == 1 else "their"
+    return f"; compared with {_itself(rows)}, so that {its} 0 says nothing: {named}"
+
+
+def _itself(names: Sequence[str]) -> str:
+    return "itself" if len(names) == 1 else "themselves"
 
 
 def _comparison_notes(attribution: Attribution) -> list[str]:
@@ -255,10 +264,15 @@ def goal_notes(attribution: Attribution) -> list[str]:
         ties = f" except {pluralize(tied, 'tie')}" if tied else ""
         outcome = f"resolved{ties}" if planner["reached"] else f"not resolved{stopped}"
         return [f"order of the top {top} {outcome}"]
-    achieved = "unknown" if half_width is None else f"{rounded_up(100 * half_width, 3)} %"
-    if tolerance is None:
-        return [f"95 % half-widths ≤ {achieved} in {planner['time_limit']:g} s"]
-    return [f"95 % half-widths ≤ {achieved} (target: {100 * tolerance:g} %{stopped})"]
+    limits = (
+        f"in {planner['time_limit']:g} s"
+        if tolerance is None
+        else f"(target: {100 * tolerance:g} %{stopped})"
+    )
+    if half_width is None:  # of an effect of 0 with an error, or without an error
+        return [f"95 % half-widths not known {limits}: more samples are needed"]
+    which = f"for effects ≥ {100 * planner['share']:g} % of the total"
+    return [f"95 % half-widths ≤ {rounded_up(100 * half_width, 3)} % {limits}, {which}"]
 
 
 def caution_groups(attribution: Attribution, names: Iterable[str]) -> dict[str, list[str]]:

@@ -189,7 +189,8 @@ def _table(
         )
     if attribution.kind is ResultKind.ABLATION and any(len(row.total) > 1 for row in shown):
         notes.append(
-            'of a colour, the sum of the losses of its channels, each alone: groups="object" ablates together'
+            'of a colour, the sum of the losses of its channels, each alone: groups="object" (--groups object) '
+            "ablates them together"
         )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")
