@@ -12,6 +12,7 @@ from refusals import message
 from rooms import ball, small_scene, table
 
 from scenecaptum.scene import SceneParameters, discover_in, load_scene, select
+from scenecaptum.scene._bounds import Bounds
 from scenecaptum.scene._selection import KINDS
 
 Config = dict[str, Any]
@@ -115,6 +116,7 @@ def test_a_transformation_has_the_shape_of_its_matrix(zoo: SceneParameters) -> N
     assert zoo["first.to_world"].shape == zoo["eye.to_world"].shape == (4, 4)
     to_uv = zoo["poster.bsdf.reflectance.to_uv"]
     assert (to_uv.shape, to_uv.is_texture) == ((3, 3), False)
+    assert to_uv.bounds == to_uv.range == Bounds()
     assert any(
         line.startswith("first.to_world ") and line.split()[2] == "4×4" for line in str(zoo).splitlines()
     )
