@@ -211,6 +211,15 @@ def test_bars_with_a_note_have_its_mark_in_every_figure() -> None:
     assert "~" not in all_text(plot_bars(both, scale="unit"))
 
 
+def test_no_title_names_what_ranks_below_another_that_it_leaves_out() -> None:
+    """The lamp is below the wall, clear of the errors of both, and the floor may be above either."""
+    result = of_values(("wall", 2.34, 0.5), ("lamp", 1.82, 0.5), ("floor", 1.7, 0.5))
+    errors = {"wall": 0.25, "lamp": 0.06, "floor": 0.6}
+    covariance = {name: torch.tensor([[error**2]]) for name, error in errors.items()}
+    title = finding(dataclasses.replace(result, covariance=covariance))
+    assert title == "Glare depends most on wall, lamp and others"
+
+
 @pytest.mark.parametrize(
     ("info", "is_clear"),
     [

@@ -26,11 +26,11 @@ def finding(
 
     Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
 
-    If the third may be the first as well, "and others" follows. It names only effects that are clear of
-    their noise, and says so if the largest is not, or if one within its noise may be larger. Where nothing has an
-    effect it names the poses that have no derivative. It names no effect
-    with a note (``~``), which may be far off. ``metric`` is by default its name. A picture of single ``texels``
-    may show clear ones whose sum is not.
+    "and others" follows if more are as large as the last that may be the first. It names only effects that are
+    clear of their noise, and says so if the largest is not, or if one within its noise may be larger. Where
+    nothing has an effect it names the poses that have no derivative. It names no effect with a note (``~``), which
+    may be far off. ``metric`` is by default its name. A picture of single ``texels`` may show clear ones whose
+    sum is not.
     """
     metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     most, none = _findings(attribution, metric)
@@ -47,7 +47,8 @@ def finding(
     unmarked = [row for row in ranking if row.name not in noted]
     if not unmarked or not _is_clear(unmarked[0], allowed):
         return f"{metric}: see the notes on the effects marked ~"
-    first, *others = [row for row in unmarked if _is_clear(row, allowed)][:3]
+    clear = [row for row in unmarked if _is_clear(row, allowed)]
+    first = clear[0]
     noisy = [
         row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
     ]
@@ -56,9 +57,10 @@ def finding(
         if first is not ranking[0]:
             largest = "effects marked ~ aside, which is largest is uncertain"
         return f"{metric}: {largest}; {_too_large(noisy, allowed)}"
-    tied = [row for row in others if not _are_apart(first, row, allowed)]
-    names = shorten([row.label for row in (first, *tied[:1])], FINDING_WIDTH)
-    listed = ", ".join(names) + " and others" if len(tied) > 1 else " and ".join(names)
+    # One with a small error may be apart from the first, and larger than another that may be the first.
+    leading = 1 + max(rank for rank, row in enumerate(clear) if not _are_apart(first, row, allowed))
+    names = shorten([row.label for row in clear[: min(leading, 2)]], FINDING_WIDTH)
+    listed = ", ".join(names) + " and others" if leading > 2 else " and ".join(names)
     larger = [row for row in ranking if row.name in noted and _upper_end(row, allowed) > first.saliency]
     aside = ", effects marked ~ aside" if larger else ""
     return f"{most} {listed}{aside}"
