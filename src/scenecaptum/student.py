@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from functools import cache
 from typing import Any
 
 DISAGREEMENT_LEVEL = 0.997  # confidence that a prediction and a measurement differ
+FALSE_ALARMS = 0.05  # allowed for all effects together
+CHANCE = 0.01  # of noise, at an effect that is larger than another that is clear
 _ENOUGH_DEGREES = 7  # of the default number of replicates, 8
 
 
@@ -26,8 +28,61 @@ def clear_from(info: Mapping[str, Any]) -> float:
     >>> round(clear_from({"replicates": 16, "degrees_of_freedom": 5}), 2)
     2.57
     """
-    degrees = int(info.get("degrees_of_freedom", info.get("replicates", _ENOUGH_DEGREES + 1) - 1))
-    return 2.0 if degrees >= _ENOUGH_DEGREES else student_t(0.95, max(degrees, 1))
+    degrees = _degrees(info)
+    return 2.0 if degrees >= _ENOUGH_DEGREES else student_t(0.95, degrees)
+
+
+def all_clear_from(errors: Iterable[float | None], info: Mapping[str, Any]) -> float:
+    """Return how many standard errors noise alone may reach at some effect, at 5 % for all together.
+
+    The noise of many parameters takes one of them beyond two standard errors.
+
+    Example
+    -------
+    >>> round(all_clear_from([0.1], {"replicates": 8}), 2), round(all_clear_from([0.1] * 10, {"replicates": 8}), 2)
+    (2.36, 4.03)
+    """
+    noisy = sum(bool(error) for error in errors)
+    return student_t(1 - FALSE_ALARMS / noisy, _degrees(info)) if noisy else 0.0
+
+
+def rankable(
+    sizes: Mapping[str, float],
+    errors: Mapping[str, float | None],
+    info: Mapping[str, Any],
+    known: Collection[str] = (),
+) -> set[str]:
+    """Return the effects that are clear enough to rank: of all together, and larger ones whose own sign is clear.
+
+    Parameters
+    ----------
+    sizes
+        The magnitudes of the effects.
+    errors
+        Standard errors of these, and of others among which they were found.
+    info
+        That of the result.
+    known
+        The effects that are clear by other means.
+
+    Example
+    -------
+    >>> sizes = {"lamp": 5.0, "desk": 1.0, "wall": 1.0}
+    >>> rankable(sizes, {"lamp": 1.4, "desk": 0.1, "wall": 0.4}, {"replicates": 8}) == {"lamp", "desk"}
+    True
+    """
+
+    def beyond(limit: float) -> set[str]:
+        return {name for name, size in sizes.items() if size > limit * (errors[name] or 0.0)}
+
+    clear = beyond(all_clear_from(errors.values(), info)) | (sizes.keys() & known)
+    smallest = min((sizes[name] for name in clear), default=math.inf)
+    return clear | {name for name in beyond(student_t(1 - CHANCE, _degrees(info))) if sizes[name] > smallest}
+
+
+def _degrees(info: Mapping[str, Any]) -> int:
+    """Return the degrees of freedom of the errors, at least 1."""
+    return max(1, int(info.get("degrees_of_freedom", info.get("replicates", _ENOUGH_DEGREES + 1) - 1)))
 
 
 @cache

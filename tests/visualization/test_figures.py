@@ -184,20 +184,23 @@ def test_titles_say_what_the_metric_depends_on() -> None:
     assert f"depends most on {first.label}\n" in all_text(plot_bars(make()))
     apart = {name: 0 * value for name, value in make().items()}
     assert "depends on none of these" in all_text(plot_bars(dataclasses.replace(make(), attributions=apart)))
-    # The first is clear of its error, and the second and the third are within it.
-    covariance = {**make().covariance, first.name: 37**2 * make().covariance[first.name]}
+    # The first is clear of its error, and the second and the third are within that of the difference.
+    covariance = {**make().covariance, first.name: 35**2 * make().covariance[first.name]}
+    covariance[third.name] = 13**2 * covariance[third.name]
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
     assert f"depends most on {first.label}, {second.label} and others\n" in text
     noisy = {name: 1e6 * value for name, value in make().covariance.items()}
     # Within the noise, but with two standard errors still below the first.
     covariance[second.name] = 43**2 * covariance[second.name]
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
-    assert f"depends most on {first.label} and {third.label}\n" in text, "names an effect lost in the noise"
-    covariance[third.name] = 65**2 * covariance[third.name]
+    assert f"depends most on {first.label} and others\n" in text, (
+        "names an effect lost in the noise, or one below"
+    )
+    covariance[third.name] = 5**2 * covariance[third.name]
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=covariance)))
     assert f"depends most on {first.label}\n" in text, "names an effect lost in the noise"
     text = all_text(plot_bars(dataclasses.replace(make(), covariance=noisy)))
-    assert "the largest effect is within the noise\n" in text
+    assert "no effect is clear enough to rank\n" in text
 
 
 def test_titles_of_squares_and_variances_do_not_say_what_the_metric_depends_on() -> None:
@@ -259,6 +262,39 @@ def test_titles_do_not_conclude_where_an_effect_lost_in_the_noise_may_be_the_lar
         assert found == f"Glare: which effect is largest is uncertain; {said}"
 
 
+def of_effects(*effects: tuple[float, float]) -> SceneAttribution:
+    """Return a result of single numbers with these effects and standard errors, by 8 replicates."""
+    names = ["wall", "lamp", "floor", *(f"other {number}" for number in range(len(effects)))][: len(effects)]
+    return dataclasses.replace(
+        make(replicates=8),
+        attributions={name: torch.tensor(effect) for name, (effect, _) in zip(names, effects, strict=True)},
+        covariance={
+            name: torch.tensor([[error**2]]) for name, (_, error) in zip(names, effects, strict=True)
+        },
+        labels={},
+    )
+
+
+@pytest.mark.parametrize(
+    ("effects", "said"),
+    [
+        (
+            [(2.34, 0.25), (1.82, 0.06), (-1.7, 0.6), (0.2, 0.04), (0.1, 0.02), (0.05, 0.01)],
+            "Glare: which effect is largest is uncertain; the error of floor is too large",
+        ),
+        ([(-8.3, 3.1), (2.2, 1.0), (2.1, 2.2)], "Glare: no effect is clear enough to rank"),
+        # The floor may be the largest, and the lamp, which is above it, is not.
+        ([(10.0, 0.1), (9.0, 0.05), (8.9, 1.0)], "Glare depends most on wall, lamp and others"),
+        ([(10.0, 0.1), (9.0, 0.05), (1.0, 0.3)], "Glare depends most on wall"),
+    ],
+    ids=str,
+)
+def test_titles_name_what_an_explanation_ranks_and_none_below_an_unnamed_one(
+    effects: list[tuple[float, float]], said: str
+) -> None:
+    assert finding(of_effects(*effects)) == said
+
+
 def test_a_render_is_denoised_where_the_metric_image_was() -> None:
     figure = plot_heatmap(make())
     assert "render" in figure.axes[0].get_title()
@@ -306,9 +342,12 @@ def test_maps_say_what_a_texel_shows_and_a_given_maximum_has_its_unit() -> None:
     assert change in signed
     noisy = {name: 1e6 * value for name, value in textured.covariance.items()}
     only = dataclasses.replace(textured, attributions={"floor": textured["floor"]}, covariance=noisy)
-    for texels, noise in ((True, "the sum over the texels of floor"), (False, "the largest effect")):
+    for texels, said in (
+        (True, "the sum over the texels of floor is not clear of its noise"),
+        (False, "no effect is clear enough to rank"),
+    ):
         title = all_text(plot_overlay(only, texels=texels)).replace("\n", " ")
-        assert f"{noise} is within the noise" in title, title
+        assert said in title, title
     assert "magnitude" not in signed
     assert "each texel: effect of a whole texture that acts like it" in text
     assert "each texel" not in all_text(plot_heatmap(textured, parameter="floor"))

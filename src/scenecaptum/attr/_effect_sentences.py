@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
 
-from ..estimation import student_t
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
-from ..student import clear_from
+from ..student import all_clear_from, clear_from, rankable
 from ..visualization import (
     advised,
     baseline_notes,
@@ -40,8 +39,6 @@ from ._wording import (
     unit_of_effect,
 )
 
-FALSE_ALARMS = 0.05  # allowed for all effects together
-CHANCE = 0.01  # of noise, at an effect that is larger than another that is stated
 UNSURE_SIZE = "size uncertain"
 MORE_SAMPLES = "use more samples"
 MOST_SAMPLES = 100  # times those of a result: more are no advice
@@ -309,35 +306,28 @@ class EffectSentences:
     def _clear_and_unclear(self) -> tuple[list[RankedParameter], list[RankedParameter]]:
         """Return the effects that are stated, and the others that are not 0.
 
-        The noise of many parameters takes one of them beyond two standard errors, so the limit is that of all.
-        Also stated are effects whose sign a render of the change confirms, and those that are larger than another
-        and whose own sign is clear. What a render shows clear, but with the other sign, is neither. Lights that
-        rank last are left out: their effects may be far off.
+        Also stated are effects whose sign a render of the change confirms. What a render shows clear, but with the
+        other sign, is neither. Lights that rank last are left out: their effects may be far off.
         """
-        allowed, last = self._allowed_errors(), self.attribution.ranked_last()
-        rows = [row for row in self.attribution.ranking() if row.effect and row.name not in last]
+        ranking, last = self.attribution.ranking(), self.attribution.ranked_last()
+        rows = [row for row in ranking if row.effect and row.name not in last]
         rendered = {one.name: one for one in self.changes if one.measured is not None and one.is_clear}
         confirmed = {name for name, one in rendered.items() if (one.measured or 0.0) * one.predicted > 0}
-        stated = {row.name for row in rows if _exceeds(row, allowed) or row.name in confirmed}
-        unclear = [row for row in rows if row.name not in {*stated, *rendered}]
-        if stated and unclear:
-            smallest = min(abs(row.effect) for row in rows if row.name in stated)
-            own = self._quantile(CHANCE)
-            stated |= {row.name for row in unclear if abs(row.effect) > smallest and _exceeds(row, own)}
+        stated = rankable(
+            {row.name: abs(row.effect) for row in rows},
+            {row.name: row.effect_error for row in ranking},
+            self.attribution.info,
+            known=confirmed,
+        )
+        allowed = self._allowed_errors()
+        contradicted = rendered.keys() - confirmed
+        stated -= {row.name for row in rows if row.name in contradicted and not _exceeds(row, allowed)}
         clear = [row for row in rows if row.name in stated]
-        return clear, [row for row in unclear if row.name not in stated]
+        return clear, [row for row in rows if row.name not in {*stated, *rendered}]
 
     def _allowed_errors(self) -> float:
         """Return how many standard errors noise alone may reach at some effect, at 5 % for all together."""
-        noisy = sum(bool(row.effect_error) for row in self.attribution.ranking())
-        if not noisy:
-            return 0.0
-        return self._quantile(FALSE_ALARMS / noisy)
-
-    def _quantile(self, chance: float) -> float:
-        """Return the number of standard errors that noise alone exceeds with a probability."""
-        info = self.attribution.info
-        return student_t(1 - chance, info.get("degrees_of_freedom", info["replicates"] - 1))
+        return all_clear_from((row.effect_error for row in self.attribution.ranking()), self.attribution.info)
 
 
 def _upper(row: RankedParameter) -> float:

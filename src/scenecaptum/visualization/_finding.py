@@ -8,7 +8,7 @@ from functools import partial
 
 from ..projection import TEXTURE_NDIM
 from ..protocols import Attribution, RankedParameter, Scale
-from ..student import clear_from
+from ..student import clear_from, rankable
 from ._effect_notes import range_marked, range_notes
 from ._layout import first_few
 from ._numbers import shorten
@@ -26,11 +26,11 @@ def finding(
 
     Of squares and variances it says what is largest, and of a difference of one metric what its sides differ in.
 
-    "and others" follows if more are as large as the last that may be the first. It names only effects that are
-    clear of their noise, and says so if the largest is not, or if one within its noise may be larger. Where
-    nothing has an effect it names the poses that have no derivative. It names no effect with a note (``~``), which
-    may be far off. ``metric`` is by default its name. A picture of single ``texels`` may show clear ones whose
-    sum is not.
+    "and others" follows if more than these may be the first. It names only effects that are clear enough to rank,
+    and none that ranks below another that it could name. It says so if none is clear, or if one within its noise
+    may be larger. Where nothing has an effect it names the poses that have no derivative. It names no effect with
+    a note (``~``), which may be far off. ``metric`` is by default its name. A picture of single ``texels`` may
+    show clear ones whose sum is not.
     """
     metric, ranking = metric or metric_name(attribution, FINDING_WIDTH), attribution.ranking(scale=scale)
     most, none = _findings(attribution, metric)
@@ -38,32 +38,39 @@ def finding(
     noted = range_marked(range_notes(attribution, scale))
     if not ranking or (not noted and not any(row.saliency for row in ranking)):
         jumps = [attribution.labels.get(name, name) for name in attribution.info.get("jumps", {})]
-        named = first_few(shorten(jumps, FINDING_WIDTH), ", ")
-        return f"{metric}: no derivative with respect to {named}" if jumps else none
-    if ranking[0].saliency and not _is_clear(ranking[0], allowed):
-        is_sum = texels and attribution[ranking[0].name].ndim == TEXTURE_NDIM
-        largest = f"sum over the texels of {ranking[0].label}" if is_sum else "largest effect"
-        return f"{metric}: the {largest} is within the noise"
-    unmarked = [row for row in ranking if row.name not in noted]
-    if not unmarked or not _is_clear(unmarked[0], allowed):
+        listed = first_few(shorten(jumps, FINDING_WIDTH), ", ")
+        return f"{metric}: no derivative with respect to {listed}" if jumps else none
+    clear, largest = _clear(attribution, ranking, scale), ranking[0]
+    if texels and largest.name not in clear and attribution[largest.name].ndim == TEXTURE_NDIM:
+        return f"{metric}: the sum over the texels of {largest.label} is not clear of its noise"
+    if largest.saliency and not clear:
+        return f"{metric}: no effect is clear enough to rank"
+    if clear <= noted:
         return f"{metric}: see the notes on the effects marked ~"
-    clear = [row for row in unmarked if _is_clear(row, allowed)]
-    first = clear[0]
-    noisy = [
-        row for row in unmarked if not _is_clear(row, allowed) and _upper_end(row, allowed) > first.saliency
-    ]
+    unmarked = [row for row in ranking if row.name not in noted]
+    first = next(row for row in unmarked if row.name in clear)
+    noisy = [row for row in unmarked if row.name not in clear and _upper_end(row, allowed) > first.saliency]
+    tied = [row for row in unmarked if row.name in clear and not _are_apart(first, row, allowed)]
+    # Down to the last that may be the first.
+    among = [first] if noisy else unmarked[: unmarked.index(tied[-1]) + 1]
+    named = [row for row in among[:2] if row.name in clear]
+    has_larger = any(row.name in noted and _upper_end(row, allowed) > named[-1].saliency for row in ranking)
     if noisy:
-        largest = "which effect is largest is uncertain"
-        if first is not ranking[0]:
-            largest = "effects marked ~ aside, which is largest is uncertain"
-        return f"{metric}: {largest}; {_too_large(noisy, allowed)}"
-    # One with a small error may be apart from the first, and larger than another that may be the first.
-    leading = 1 + max(rank for rank, row in enumerate(clear) if not _are_apart(first, row, allowed))
-    names = shorten([row.label for row in clear[: min(leading, 2)]], FINDING_WIDTH)
-    listed = ", ".join(names) + " and others" if leading > 2 else " and ".join(names)
-    larger = [row for row in ranking if row.name in noted and _upper_end(row, allowed) > first.saliency]
-    aside = ", effects marked ~ aside" if larger else ""
-    return f"{most} {listed}{aside}"
+        uncertain = "effects marked ~ aside, which is" if has_larger else "which effect is"
+        return f"{metric}: {uncertain} largest is uncertain; {_too_large(noisy, allowed)}"
+    names = shorten([row.label for row in named], FINDING_WIDTH)
+    listing = ", ".join(names) + " and others" if len(among) > len(named) else " and ".join(names)
+    return f"{most} {listing}{', effects marked ~ aside' if has_larger else ''}"
+
+
+def _clear(attribution: Attribution, ranking: Sequence[RankedParameter], scale: Scale | None) -> set[str]:
+    """Return the parameters whose effects are clear enough to rank, as in an explanation."""
+    last = attribution.ranked_last(scale)
+    return rankable(
+        {row.name: row.saliency for row in ranking if row.name not in last},
+        {row.name: row.saliency_error for row in ranking},
+        attribution.info,
+    )
 
 
 def _findings(attribution: Attribution, metric: str) -> tuple[str, str]:
@@ -73,11 +80,6 @@ def _findings(attribution: Attribution, metric: str) -> tuple[str, str]:
         # Two results of one metric: not it, but their difference is what the effects are of.
         return "the two results differ most in", "the two results differ in none of these parameters"
     return kind.finding.format(metric), kind.finding_of_none.format(metric)
-
-
-def _is_clear(row: RankedParameter, allowed: float) -> bool:
-    """Whether a saliency is not 0 and more than the ``allowed`` standard errors from it."""
-    return not row.saliency <= allowed * (row.saliency_error or 0.0)
 
 
 def _upper_end(row: RankedParameter, allowed: float) -> float:
