@@ -202,16 +202,18 @@ def test_the_gradient_of_a_network_says_how_many_samples_a_very_noisy_picture_ne
     assert "biases it" not in (many.info["picture"]["caution"] or "")
 
 
-def test_ablation_of_a_network_without_smoothing_cautions_against_a_noisy_picture_that_is_denoised() -> None:
+def test_ablation_of_a_network_without_smoothing_cautions_against_a_noisy_picture() -> None:
     renderer = SceneRenderer("cornell-box", inputs="short_box*", resolution=(16, 16), spp=16, max_depth=3)
     logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube")
-    few, many = (
-        FeatureAblationScene(renderer, logit).attribute(groups="object", spp=spp, seed=shifted())
-        for spp in (64, 16384)
-    )
-    assert few.info["picture"]["denoised"]
-    assert "the error of a denoised pixel is " in few.info["picture"]["caution"]
-    assert many.info["picture"]["caution"] is None
+
+    def picture(spp: int, **options: bool) -> dict[str, Any]:
+        method = FeatureAblationScene(renderer, logit)
+        info = method.attribute(groups="object", spp=spp, seed=shifted(), **options).info
+        return info["picture"]
+
+    assert "the noise of a pixel is " in picture(64)["caution"]
+    assert "the error of a denoised pixel is " in picture(64, denoise=True)["caution"]
+    assert picture(16384)["caution"] is None
 
 
 def test_large_errors_of_differences_of_values_advise_more_samples_not_smoothing() -> None:
