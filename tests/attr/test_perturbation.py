@@ -247,7 +247,7 @@ def test_occlusion_error_bars_are_the_spread_over_repeats():
     check_error_bars(totals, torch.stack([one.covariance["paper"].diagonal().sqrt() for one in repeats]))
 
 
-def test_the_noise_that_two_scenes_share_is_denoised_only_on_request(cornell):
+def test_the_noise_that_two_scenes_share_is_not_denoised_if_the_metric_stays_the_same(cornell):
     """The denoiser changes each of them in its own way, so that their noise cancels no longer."""
 
     def bright_part(image: torch.Tensor) -> torch.Tensor:

@@ -71,8 +71,9 @@ class FeatureAblationScene(Perturbation):
         inputs, target, checkpoint, executor, show_progress
             As for ``VanillaSceneGradient``.
         denoise
-            As for ``VanillaSceneGradient``, but ``"auto"`` does not denoise: most of the noise of two scenes
-            cancels in their difference, and the denoiser would bring a part of it back.
+            As for ``VanillaSceneGradient``, but ``"auto"`` denoises only if this changes the metric by more than
+            its noise: most of the noise of two scenes cancels in their difference, and the denoiser brings a part
+            of it back.
         baselines
             Values of ablated features: None (emitters and reflectances 0, everything else unchanged), ``"dark"``,
             ``"black"``, ``"grey"``, a number, a mapping by name, glob or kind, or another renderer. Inputs that a

@@ -39,6 +39,8 @@ from ._convergence import convergence
 from ._data import summarize
 from ._method import AttributionInterrupted, Result, Settings, Targets, target_list
 
+UNCHANGED = 2.0  # standard errors between the values of a denoised and a noisy picture
+
 
 @dataclass(frozen=True)
 class Arm:
@@ -124,10 +126,7 @@ class Perturbation:
         rows, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            selector = TransformSelector(
-                _denoise(settings.denoise), renderer, arms[0].values(), smoothed=metrics[0].is_smoothed
-            )
-            metrics = tuple(with_image_transform(metrics, images, selector))
+            metrics = _with_transforms(metrics, images, arms[0], renderer, settings.denoise)
             values, first = _pseudo_values(metrics, images, arms[0].description)
             image, noise = torch.stack(images).mean(0), relative_noise(images)
             rows.append(first)
@@ -286,13 +285,31 @@ def _pseudo_values(
     return unchanged, unchanged[None] if count == 1 else pseudo_values(values, count)
 
 
-def _denoise(mode: Denoise) -> Denoise:
-    """Return what to denoise: nothing unless asked to.
+def _with_transforms(
+    metrics: Sequence[TargetedMetric],
+    images: Sequence[torch.Tensor],
+    arm: Arm,
+    renderer: Renderer,
+    mode: Denoise,
+) -> tuple[TargetedMetric, ...]:
+    """Return the metrics with their image transforms; ``"auto"`` denoises only where that changes their values.
 
     With common random numbers, most of the noise of two renders cancels in their difference. The denoiser undoes
     this: it changes each of them in its own way, and the replicates of a scene share most of that.
     """
-    return False if mode == "auto" else mode
+
+    def chosen(by: Denoise) -> tuple[TargetedMetric, ...]:
+        selector = TransformSelector(by, renderer, arm.values(), smoothed=metrics[0].is_smoothed)
+        return tuple(with_image_transform(metrics, images, selector))
+
+    found = chosen(mode)
+    if mode != "auto" or len(images) == 1 or not any(metric.transform.denoises for metric in found):
+        return found
+    rendered = chosen(False)
+    first, second = (_pseudo_values(one, images, arm.description)[1] for one in (found, rendered))
+    error = torch.hypot(first.std(0), second.std(0)) / math.sqrt(len(images))
+    is_same = (first.mean(0) - second.mean(0)).abs() <= UNCHANGED * error
+    return rendered if is_same.all() else found
 
 
 def _evaluate(metrics: Sequence[TargetedMetric], image: torch.Tensor, scene: str) -> torch.Tensor:

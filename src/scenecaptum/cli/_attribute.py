@@ -116,8 +116,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         choices=DENOISE,
         default="auto",
         help="denoise the image for a non-linear metric, such as a glare rating; auto: if that reduces the "
-        "measured error, and not for ablation and Shapley values (default: %(default)s); the pictures are "
-        "denoised unless off",
+        "measured error, and for ablation and Shapley values also changes the metric by more than its noise "
+        "(default: %(default)s); the pictures are denoised unless off",
     )
     parser.add_argument(
         "--picture-spp",
