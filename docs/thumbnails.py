@@ -31,7 +31,7 @@ class Cut(NamedTuple):
 
 
 CUTS = {
-    "chair-logit": Cut("chair-logit.png", (0.013, 0.22, 0.892, 0.942), whole=True),
+    "chair-logit": Cut("chair-logit.png", (0.013, 0.214, 0.892, 0.84), whole=True),
     "classroom-daylight": Cut("classroom-daylight.png", (0.068, 0.083, 0.88, 0.914)),
     "desk-lamp": Cut("desk-lamp.png", (0.01, 0.145, 0.489, 0.98)),
     "explore": Cut("explore.png", (0.0, 0.0, 1.0, 1.0)),
@@ -44,7 +44,7 @@ CUTS = {
     "pixels-or-scene": Cut("pixels-or-scene.png", (0.0, 0.0, 1.0, 0.87), whole=True),
     "rooms-ugr": Cut("rooms-ugr.png", (0.0, 0.16, 1.0, 0.92), whole=True),
     "shortcut": Cut("shortcut-pictures.png", (0.0, 0.09, 0.56, 1.0), whole=True),
-    "specificity": Cut("metric_specificity 0", (0.311, 0.687, 0.608, 0.98)),
+    "specificity": Cut("metric_specificity 0", (0.311, 0.687, 0.598, 0.96)),
     "speed": Cut("paper/grid-stability.webp", (0.0, 0.475, 0.53, 0.945), whole=True),
     "texels": Cut("what_a_network_sees 0", (0.462, 0.496, 0.89, 0.919)),
     "two-designs": Cut("two-designs.png", (0.503, 0.19, 0.995, 0.98)),
