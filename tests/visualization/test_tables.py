@@ -377,6 +377,10 @@ def planned(**changes: Any) -> SceneAttribution:
             {"relative_half_width": None, "tolerance": None, "time_limit": 4.0, "reached": None},
             "95 % half-widths not known in 4 s: more samples are needed",
         ),
+        (
+            {"relative_half_width": None, "reached": False, "stopped": "the lack of a derivative"},
+            "95 % half-widths not known (target: 5 %, stopped by the lack of a derivative)",
+        ),
         ({"top": 3, "order": [["a"], ["b"], ["c"]]}, "order of the top 3 resolved"),
         ({"top": 3, "order": [["a", "b"], ["c"]]}, "order of the top 3 resolved except 1 tie"),
         (

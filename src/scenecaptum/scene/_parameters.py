@@ -90,9 +90,8 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
     own_name = name.rsplit(".", 1)[-1]
     user, role = graph.role(node, own_name)
     kind, bounds, effect_range = _kind_bounds_and_range(user, role)
-    if (
-        _is_transform(value) or role in EMITTER_POSES
-    ):  # the bounds are those of the values of a texture or light
+    # The bounds are those of the values of the texture or light, not of where it is.
+    if _is_transform(value) or role in EMITTER_POSES:
         bounds = effect_range = Bounds()
     shape = stored_shape = _shape(value, mesh_attribute_size(node, own_name))
     if _is_scalar(graph, node, shape):

@@ -225,11 +225,8 @@ def _unchanged(attribution: Attribution) -> str:
     names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
     rows = [name for name in names if name in attribution]
     if not rows:
-        return (
-            f"; compared with {_itself(names)}: {pluralize(len(names), 'input')} of these groups"
-            if names
-            else ""
-        )
+        count = pluralize(len(names), "input")
+        return f"; compared with {_itself(names)}: {count} of these groups" if names else ""
     named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
     its = "its" if len(rows) == 1 else "their"
     return f"; compared with {_itself(rows)}, so that {its} 0 says nothing: {named}"
@@ -269,8 +266,9 @@ def goal_notes(attribution: Attribution) -> list[str]:
         if tolerance is None
         else f"(target: {100 * tolerance:g} %{stopped})"
     )
-    if half_width is None:  # of an effect of 0 with an error, or without an error
-        return [f"95 % half-widths not known {limits}: more samples are needed"]
+    if half_width is None:  # of what has no derivative, an effect of 0 with an error, or too few replicates
+        needed = "" if planner["stopped"] == "the lack of a derivative" else ": more samples are needed"
+        return [f"95 % half-widths not known {limits}{needed}"]
     which = f"for effects ≥ {100 * planner['share']:g} % of the total"
     return [f"95 % half-widths ≤ {rounded_up(100 * half_width, 3)} % {limits}, {which}"]
 
