@@ -21,7 +21,7 @@ from scenecaptum import (
 from scenecaptum.attr import range_lengths
 from scenecaptum.attr._groups import sum_groups
 from scenecaptum.estimation import channel_totals
-from scenecaptum.visualization import range_notes
+from scenecaptum.visualization import light_notes, range_notes
 
 
 def attribution(**other: object) -> SceneAttribution:
@@ -174,7 +174,7 @@ def test_the_effect_of_a_light_that_is_off_has_a_note_under_a_metric_that_is_not
             "film": {"type": "hdrfilm", "width": 8, "height": 8},
         },
         "sky": {"type": "constant"},
-        "lamp": {"type": "point", "position": [0, 0, 2], "intensity": 2.0},
+        "lamp": {"type": "point", "position": [0, 0, 2], "intensity": 20.0},
         "floor": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(2)},
     }
     renderer = SceneRenderer(scene, [lamp, floor], spp=16, max_depth=3)
@@ -194,6 +194,28 @@ def test_the_effect_of_a_light_that_is_off_has_a_note_under_a_metric_that_is_not
     assert note.endswith("render the change")
     assert f"~ {note}" in " ".join(str(without).split())
     assert range_notes(on) == range_notes(linear) == {}
+    grouped = VanillaSceneGradient(renderer, squared).attribute(groups="object", seed=shifted(1))
+    for result, is_noted in ((on, True), (grouped, True), (without, False), (linear, False)):
+        text = " ".join(str(result).split())
+        assert (
+            "squared is not linear in the light, so switching it off may change squared" in text
+        ) is is_noted
+
+
+@pytest.mark.parametrize(
+    ("value", "covariance", "is_noted"), [(1.0, 1.0, True), (1.0, 4.0, False), (0.05, 1e-4, False)]
+)
+def test_the_note_on_lights_is_about_clear_and_notable_effects(value, covariance, is_noted):
+    found = attribution(lights_on=["lamp"])
+    found = dataclasses.replace(
+        found,
+        attributions={**found, "lamp": value * found["lamp"]},
+        covariance={**(found.covariance or {}), "lamp": covariance * 1e-4 * torch.eye(3)},
+    )
+    assert bool(light_notes(found, found.ranking())) is is_noted
+    assert light_notes(found, found.ranking(), scale="unit") == []
+    others = [row for row in found.ranking() if row.name != "lamp"]
+    assert light_notes(found, others) == [], "the lamp is not shown"
 
 
 def test_a_light_that_is_off_ranks_after_the_others():

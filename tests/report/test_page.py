@@ -985,7 +985,8 @@ def test_a_printed_report_of_one_result_has_no_hints(browser, tmp_path):
 def test_a_light_that_is_off_ranks_last_and_sets_no_scale(browser, tmp_path):
     """Its effect, to first order, may be far off: it would hide the causes of the others."""
     first, second = (row.name for row in ranged().ranking(2))
-    path = written(tmp_path, noted(ranged(), measure=UGR, lights_off=[first]))
+    lit = noted(ranged(), measure=UGR, lights_off=[first], lights_on=[second])
+    path = written(tmp_path, lit)
     page = Page(browser, path)
     rows = page.page.locator("#rows [data-row]")
     assert rows.first.locator(".label").get_attribute("title") == second
@@ -993,6 +994,10 @@ def test_a_light_that_is_off_ranks_last_and_sets_no_scale(browser, tmp_path):
     assert rows.first.locator(".bar").evaluate("bar => parseFloat(bar.style.width)") > 95
     assert rows.last.locator(".bar").count() == 0
     assert rows.last.locator(".saliency .number").inner_text()
+    shown = page.page.locator("main").inner_text()
+    assert "of a light, to first order: UGR is not linear" in shown
+    assert "--groups" in str(lit)
+    assert "--groups" not in shown, "a page is for those who do not run the software, too"
     page.check(path)
     page.context.close()
 

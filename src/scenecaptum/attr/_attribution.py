@@ -23,7 +23,7 @@ from ._data import AttributionData, Ranked, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
 from ._nonlinear_poses import NonlinearPoses, nonlinear_poses
-from ._ranges import extents, lights_off, unit_ranges
+from ._ranges import extents, lights, unit_ranges
 from ._steps import StepErrors, local_poses, step_errors
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
@@ -349,6 +349,7 @@ def make_attribution(
             )
             # Of the sign of the gradient: an error along its direction, of which no part cancels another.
             bias |= {n: bias[n].hypot(error).copysign(error) for n, error in nonlinear.errors.items()}
+    lights_off, lights_on = lights(renderer, values)
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
         standard_error={n: _error(gradients, n, None if bias is None else bias[n]) for n in names}
@@ -375,7 +376,8 @@ def make_attribution(
             "local": local,
             "nonlinear": nonlinear.marked,
             "unit_ranges": unit_ranges(renderer, values),
-            "lights_off": lights_off(renderer, values),
+            "lights_off": lights_off,
+            "lights_on": lights_on,
             "linear_in_light": adjoints.bias_adjoint is None,
             "kept_directions": steps.kept_directions,
             "left_out_directions": steps.left_out_directions,

@@ -19,6 +19,7 @@ from ..visualization import (
     convergence_notes,
     gradient_advice,
     jump_notes,
+    light_notes,
     pluralize,
     prefixed,
     range_marked,
@@ -89,6 +90,7 @@ class EffectSentences:
         above, below = self._larger_lines(unclear, abs(stated[0].effect))
         between = self._between_lines(unclear, stated)
         legend += [*self._floor_notes(stated), *unit_notes(self.attribution, stated)]
+        legend += light_notes(self.attribution, stated)
         notes = [*legend, *self._contribution_notes(), *jumps]
         return [*above, *lines, *between, *below, *notes]
 

@@ -170,7 +170,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     groups = {group: list(names) for group, names in members.items()}
     members = {group: tuple(n for n in names if n not in maps[group]) for group, names in members.items()}
     jumps = attribution.info.get("jumps", {})
-    off = attribution.lights_off()
+    off, on = attribution.lights_off(), {*attribution.info.get("lights_on", ())}
     of_lights_off = {group for group, names in members.items() if {*names} - {*jumps} <= off}
     off -= {name for group in of_lights_off for name in members[group]}
     factors |= {name: 0 * factors[name] for name in {*jumps, *off}}
@@ -211,6 +211,7 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
             "vectors": [],
             "jumps": without,
             "lights_off": [*sorted(of_lights_off), *sorted(off)],
+            "lights_on": [group for group, names in members.items() if {*names} & on],
             "kept_directions": {},
             "maps_left_out": scale_of,
             "groups": groups,

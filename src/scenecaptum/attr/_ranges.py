@@ -44,12 +44,13 @@ def unit_ranges(renderer: Renderer, values: Tensors) -> list[str]:
     ]
 
 
-def lights_off(renderer: Renderer, values: Tensors) -> list[str]:
-    """Return the radiances and other powers of light that are 0, in the scene or in a design."""
+def lights(renderer: Renderer, values: Tensors) -> tuple[list[str], list[str]]:
+    """Return the radiances and other powers of light that are 0, in the scene or in a design, and the others."""
     table = table_of(renderer)
     if table is None:
-        return []
-    return [name for name, value in values.items() if is_emitted_power(table[name]) and not value.any()]
+        return [], []
+    powers = {name: bool(value.any()) for name, value in values.items() if is_emitted_power(table[name])}
+    return [name for name, is_on in powers.items() if not is_on], [n for n, is_on in powers.items() if is_on]
 
 
 def range_lengths(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:

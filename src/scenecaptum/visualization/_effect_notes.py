@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 from ..projection import light_maps_left_out
-from ..protocols import Attribution, ResultKind, Scale
+from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ..student import clear_from
 from ._layout import first_few
 from ._text import LARGE_ERROR, OF_DIFFERENCES, advised, metric_symbol
@@ -39,6 +39,29 @@ def range_notes(
             **_local_notes(attribution, shown),
         }
     return notes
+
+
+def light_notes(
+    attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
+) -> list[str]:
+    """Return a note on the effects of lights, unless they are small or the metric is linear in the light."""
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    if kind is not ResultKind.EFFECT or attribution.info.get("linear_in_light"):
+        return []
+    on, allowed = attribution.info.get("lights_on", ()), clear_from(attribution.info)
+    least = _NOTABLE * max((row.saliency for row in attribution.ranking(scale=scale)), default=0.0)
+    if not any(
+        row.name in on and row.saliency > max(least, allowed * (row.saliency_error or 0.0)) for row in rows
+    ):
+        return []
+    symbol = metric_symbol(attribution)
+    return [
+        advised(
+            f"of a light, to first order: {symbol} is not linear in the light, so switching it off may change "
+            f"{symbol} by much more or less",
+            'for that, use an ablation with groups="object" (--method ablation --groups object)',
+        )
+    ]
 
 
 def range_marked(notes: Mapping[str, Collection[str]]) -> set[str]:

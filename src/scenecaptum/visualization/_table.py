@@ -10,7 +10,7 @@ from itertools import zip_longest
 from typing import NamedTuple
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
-from ._effect_notes import range_marked, range_notes
+from ._effect_notes import light_notes, range_marked, range_notes
 from ._layout import grid, wrap
 from ._notes import (
     baseline_notes,
@@ -167,7 +167,8 @@ def _table(
     gradient_heading = "" if repeats else f"{attribution.kind.value}{channels}"
     heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
-    notes += unit_notes(attribution, shown, scale) + baseline_notes(attribution)
+    notes += unit_notes(attribution, shown, scale) + light_notes(attribution, shown, scale)
+    notes += baseline_notes(attribution)
     if len(shown) < len(ranking):
         notes.append(
             f"… and {_rest(ranking[len(shown) :], attribution.ranked_last(scale))}; {complete} lists all"
