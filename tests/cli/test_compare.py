@@ -13,7 +13,7 @@ import pytest
 import results
 import torch
 
-from scenecaptum import SceneRenderer, View, cli
+from scenecaptum import SceneRenderer, VanillaSceneGradient, View, cli
 from scenecaptum.attr import SceneAttribution
 from scenecaptum.cli import _compare, _compared, _compared_effects
 
@@ -136,6 +136,19 @@ def test_saved_results_of_different_quantities_are_refused(
     (said,) = capsys.readouterr().err.splitlines()
     assert "contribution (VanillaSceneGradient)" in said
     assert "gradient per unit (VanillaSceneGradient)" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_saved_result_of_another_quantity_is_refused_before_the_scene_is_rendered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(VanillaSceneGradient, "attribute", lambda *_, **__: pytest.fail("rendered"))
+    path = str(tmp_path / "ablated.npz")
+    results.make(quantity="effect of ablation").save(path)
+    for files in (["office", path], [path, "office"]):
+        assert cli.main(["compare", *files, "--metric", "ugr", "--out", str(tmp_path / "out")]) == 2
+        (said,) = capsys.readouterr().err.splitlines()
+        assert f"{path} has the quantity effect of ablation (VanillaSceneGradient), but of a scene" in said
     assert not (tmp_path / "out").exists()
 
 

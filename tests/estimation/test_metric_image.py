@@ -247,7 +247,9 @@ class Counting(Fireflies):
     """A renderer that counts the samples of the pictures at its own inputs."""
 
     def __init__(self):
-        super().__init__(chance=0.01)  # brighter fireflies raise the threshold above the window: no glare at all
+        super().__init__(
+            chance=0.01
+        )  # brighter fireflies raise the threshold above the window: no glare at all
         self.samples = 0
         self.bounds = dict.fromkeys(self.inputs, (0.0, 2.0))
 

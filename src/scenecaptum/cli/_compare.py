@@ -23,9 +23,10 @@ from ..explanation import (
     rated_image,
     states_definition,
 )
+from ..protocols import ResultKind
 from ..rendering import SceneRenderer
 from ..report import Comparison, write_report
-from ..visualization import metric_name, share_scale
+from ..visualization import method_name, metric_name, share_scale
 from . import _arguments
 from ._compared import Compared, Side, lines, numbers
 from ._compared_effects import with_contradictions
@@ -210,7 +211,11 @@ def _compare_scenes(options: argparse.Namespace) -> Compared:
         raise SceneCaptumError(
             "--from needs --set or --design: it is the design that they are compared with."
         )
-    results = [_loaded_or_attributed(options, given) for given in (options.scene, options.other)]
+    both = options.scene, options.other
+    saved = {
+        one: _loaded(one, is_beside_a_scene=not all(map(_is_saved, both))) for one in both if _is_saved(one)
+    }
+    results = [saved[one] if one in saved else _attributed(options, one) for one in both]
     before, after = (one.attribution for one in results)
     if metric_name(before) != metric_name(after):
         raise SceneCaptumError(
@@ -233,16 +238,28 @@ def _compare_scenes(options: argparse.Namespace) -> Compared:
     return Compared(before, after, titles, change, error, sides, by_definition=exact)
 
 
-def _loaded_or_attributed(options: argparse.Namespace, given: str) -> Result:
+def _is_saved(given: str) -> bool:
     # By any name: a result may be saved under another.
-    if given.endswith(".npz") or zipfile.is_zipfile(given):
-        loaded = SceneAttribution.load(given)
-        if loaded.surfaces is None:
-            raise SceneCaptumError(
-                f"{given} has no picture of objects, as a sensor grid has none: compare the scenes, not the files."
-            )
-        return Result(loaded)
-    renderer, metric = _renderer_and_metric(options, given)
+    return given.endswith(".npz") or zipfile.is_zipfile(given)
+
+
+def _loaded(given: str, *, is_beside_a_scene: bool) -> Result:
+    loaded = SceneAttribution.load(given)
+    if loaded.surfaces is None:
+        raise SceneCaptumError(
+            f"{given} has no picture of objects, as a sensor grid has none: compare the scenes, not the files."
+        )
+    if is_beside_a_scene and loaded.kind not in (ResultKind.GRADIENT, ResultKind.EFFECT):
+        raise SceneCaptumError(
+            f"{given} has the quantity {loaded.kind.value} ({method_name(loaded)}), but of a scene, compare "
+            f"computes the {ResultKind.GRADIENT.value}: save a result of the scene by the same method with "
+            "attribute, and compare both files."
+        )
+    return Result(loaded)
+
+
+def _attributed(options: argparse.Namespace, scene: str) -> Result:
+    renderer, metric = _renderer_and_metric(options, scene)
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
