@@ -126,8 +126,7 @@ class Perturbation:
         rows, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            metrics = _with_transforms(metrics, images, arms[0], renderer, settings.denoise)
-            values, first = _pseudo_values(metrics, images, arms[0].description)
+            metrics, (values, first) = _with_transforms(metrics, images, arms[0], renderer, settings.denoise)
             image, noise = torch.stack(images).mean(0), relative_noise(images)
             rows.append(first)
             bar.update()
@@ -291,25 +290,28 @@ def _with_transforms(
     arm: Arm,
     renderer: Renderer,
     mode: Denoise,
-) -> tuple[TargetedMetric, ...]:
-    """Return the metrics with their image transforms; ``"auto"`` denoises only where that changes their values.
+) -> tuple[tuple[TargetedMetric, ...], tuple[torch.Tensor, torch.Tensor]]:
+    """Return the metrics with their image transforms, and their values at the images as in ``_pseudo_values``.
 
     With common random numbers, most of the noise of two renders cancels in their difference. The denoiser undoes
-    this: it changes each of them in its own way, and the replicates of a scene share most of that.
+    this: it changes each of them in its own way, and the replicates of a scene share most of that. So ``"auto"``
+    denoises only where that changes the values of the metrics.
     """
 
-    def chosen(by: Denoise) -> tuple[TargetedMetric, ...]:
+    def transformed(by: Denoise) -> tuple[TargetedMetric, ...]:
         selector = TransformSelector(by, renderer, arm.values(), smoothed=metrics[0].is_smoothed)
         return tuple(with_image_transform(metrics, images, selector))
 
-    found = chosen(mode)
+    found = transformed(mode)
+    values = _pseudo_values(found, images, arm.description)
     if mode != "auto" or len(images) == 1 or not any(metric.transform.denoises for metric in found):
-        return found
-    rendered = chosen(False)
-    first, second = (_pseudo_values(one, images, arm.description)[1] for one in (found, rendered))
+        return found, values
+    rendered = transformed(False)
+    of_rendered = _pseudo_values(rendered, images, arm.description)
+    first, second = values[1], of_rendered[1]
     error = torch.hypot(first.std(0), second.std(0)) / math.sqrt(len(images))
     is_same = (first.mean(0) - second.mean(0)).abs() <= UNCHANGED * error
-    return rendered if is_same.all() else found
+    return (rendered, of_rendered) if is_same.all() else (found, values)
 
 
 def _evaluate(metrics: Sequence[TargetedMetric], image: torch.Tensor, scene: str) -> torch.Tensor:
