@@ -740,6 +740,30 @@ def test_a_uniform_texture_is_refused():
         run(OcclusionScene, renderer=renderer, inputs={"paper": torch.full((5, 7, 3), 0.5)})
 
 
+@pytest.mark.parametrize("stride", [None, 2], ids=["apart", "overlapping"])
+def test_the_effect_of_a_texture_adds_up_its_patches_under_a_linear_metric(stride):
+    """It is the effect of replacing all of them, whatever the number of texels and channels."""
+    renderer = PartsRenderer()
+    large = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(shifted()))
+    weight = torch.linspace(0, 1, 16)[:, None]
+
+    def lit(inputs: Mapping[str, torch.Tensor], *, seed: int, spp: int) -> torch.Tensor:
+        return renderer({"lamp": (inputs["large"] * weight).mean()}, seed=seed, spp=spp)
+
+    options = {"inputs": {"large": large}, "baselines": 0.0, "seed": shifted(2)}
+    scenes, tolerance = (9, 1e-4) if stride is None else (22, 0.1)  # overlapping ones count the edges less
+    patches = OcclusionScene(lit, torch.mean).attribute(
+        **options, sliding_window_shapes=(4, 4), strides=stride, spp=64 * scenes
+    )
+    whole = FeatureAblationScene(lit, torch.mean).attribute(**options, groups={"all": "large"}, spp=64 * 2)
+    assert patches.info["budget"]["arms"] == scenes
+    assert patches.effects()["large"] == pytest.approx(whole.effects()["all"], rel=tolerance)
+    assert patches.effects_error()["large"] == pytest.approx(whole.effects_error()["all"], rel=tolerance)
+    text = str(patches)
+    assert "Σ totals over the patches" in text
+    assert "R, G, B" not in text
+
+
 def test_default_patches_are_eight_by_eight():
     renderer = PartsRenderer()
     large = torch.rand(17, 32, 3, generator=torch.Generator().manual_seed(shifted()))

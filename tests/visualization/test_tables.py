@@ -327,7 +327,8 @@ def test_texture_shows_totals_with_a_note() -> None:
     assert re.search(r"Σ .*−0\.080 +−0\.120 +−0\.160$", row_of("floor", text))
     assert "Σ totals over the texels" in text
     occluded = table_text(make(quantity=ResultKind.OCCLUSION.value))
-    assert "Σ grows with the number of texels and channels: each has the effect of its patch" in occluded
+    assert "Σ totals over the patches" in occluded
+    assert "R, G, B" not in occluded, "all channels have the same"
     plain = dataclasses.replace(make(), attributions={"rough": torch.tensor(1.0)})
     assert "texel" not in table_text(plain)
 

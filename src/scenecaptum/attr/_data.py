@@ -133,7 +133,11 @@ class AttributionData(Mapping[str, torch.Tensor]):
         """
         chosen = self.scale_or_default(scale)
         if chosen == "unit" or not self.kind.is_gradient_per_unit:
-            factors = {name: torch.ones_like(channel_totals(value)) for name, value in self.items()}
+            # Of an occlusion, each texel has the effect of its patch in all channels, which counts once.
+            copies = {
+                n: texels * self[n].shape[-1] for n, texels in self.info.get("patch_texels", {}).items()
+            }
+            factors = {n: torch.ones_like(channel_totals(one)) / copies.get(n, 1) for n, one in self.items()}
         else:
             given = self.extents if chosen == "range" else self.parameter_values
             factors = {name: given[name].reshape(-1) for name in self}

@@ -43,8 +43,8 @@ class OcclusionScene(Perturbation):
 
     A window slides over the texels of one parameter at a time. Each texel gets the metric of the scene minus the
     metric with the window at its baseline, averaged over the windows that cover it, and equal in all channels. As
-    in Captum the effect is not divided by the size of the window, so the sum over the texels has no meaning: use
-    ``FeatureAblationScene`` to compare textures.
+    in Captum this is not divided by the size of the window. The effect of a texture, by which rankings compare it,
+    adds up the patches that cover it: the sum over the texels and channels, divided by those of a window.
 
     Parameters
     ----------
@@ -134,6 +134,8 @@ class OcclusionScene(Perturbation):
             return {name: _effect(own, windows[name], textures[name]) for name, own in drops.items()}, None
 
         info = describe_baselines(self.renderer, textures, baselines, occluded, default=DEFAULT_OF_OCCLUSION)
+        # All but those at the end of a texture have the size of the first.
+        info["patch_texels"] = {name: _texels(own_windows[0]) for name, own_windows in windows.items()}
         return self._results(measured, target, effects_of, quantity=ResultKind.OCCLUSION, **info)
 
 
@@ -229,6 +231,10 @@ def _windows(
         count = 1 + math.ceil((texels - window) / step)
         extents.append([slice(i * step, min(i * step + window, texels)) for i in range(count)])
     return list(itertools.product(*extents))
+
+
+def _texels(window: Window) -> int:
+    return math.prod(extent.stop - extent.start for extent in window)
 
 
 def _occlude(patch: _Patch, values: Values, occluded: Values) -> dict[str, torch.Tensor]:

@@ -28,6 +28,7 @@ from ..scene import with_unit
 from ..visualization import (
     LOWERS,
     RAISES,
+    TEXEL_MEANING,
     UNCLEAR,
     Format,
     arrows,
@@ -57,7 +58,6 @@ from ..visualization import (
     shown_render,
     sign_labels,
     signed_with_error,
-    texel_meaning,
     unit_notes,
     unit_of_change,
     untrusted_groups,
@@ -360,7 +360,7 @@ def _texels(attribution: Attribution, surfaces: SurfaceMap) -> dict[str, Any] | 
         return None
     maps = {"magnitude": False, "signed": True}
     return {
-        "meaning": texel_meaning(attribution),
+        "meaning": TEXEL_MEANING,
         "largest": _number(shared_maximum([attribution], texels=True)),
         **{
             name: encode_map(heatmap(attribution, texels=True, signed=signed, norm="linear"), signed=signed)

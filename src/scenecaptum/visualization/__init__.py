@@ -98,6 +98,7 @@ from ._specificity import plot_specificity as plot_specificity
 from ._table import STYLE as STYLE
 from ._table import table_html as table_html
 from ._table import table_text as table_text
+from ._text import TEXEL_MEANING as TEXEL_MEANING
 from ._text import advised as advised
 from ._text import axis_label as axis_label
 from ._text import findings as findings
@@ -111,7 +112,6 @@ from ._text import pack as pack
 from ._text import pluralize as pluralize
 from ._text import prefixed as prefixed
 from ._text import sign_labels as sign_labels
-from ._text import texel_meaning as texel_meaning
 from ._text import unit_of_change as unit_of_change
 from ._text import verdict as verdict
 from ._tonemap import automatic_exposure as automatic_exposure

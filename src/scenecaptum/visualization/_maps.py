@@ -48,6 +48,7 @@ from ._notes import (
 )
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
+    TEXEL_MEANING,
     axis_label,
     color_meanings,
     is_of_camera,
@@ -55,7 +56,6 @@ from ._text import (
     metric_unit,
     pack,
     pluralize,
-    texel_meaning,
     unit_of_change,
 )
 from ._tonemap import display_image
@@ -280,7 +280,7 @@ def _map_title(
     )
     lines = [f"{shown}, relative to {largest} ({_NORMS[norm]})"]
     if options.get("texels"):
-        lines.append(texel_meaning(attribution))
+        lines.append(TEXEL_MEANING)
     if signed:
         lines.append(color_meanings(attribution))
     return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))

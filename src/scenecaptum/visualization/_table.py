@@ -147,7 +147,9 @@ def _table(
     of_range = range_notes(attribution, scale)
     marks |= {name: f"{marks.get(name, '')}~" for name in range_marked(of_range)}
     textures = {row.name for row in shown if attribution[row.name].ndim > 1}
-    repeats = not attribution.kind.is_gradient_per_unit and all(len(row.total) == 1 for row in shown)
+    repeats = attribution.kind is ResultKind.OCCLUSION or (
+        not attribution.kind.is_gradient_per_unit and all(len(row.total) == 1 for row in shown)
+    )
     columns = (
         [str(row.rank) for row in shown],
         shorten([row.label for row in shown], _MAX_NAME_WIDTH),
@@ -176,13 +178,8 @@ def _table(
     notes += group_notes(attribution, with_rows)
     notes += pose_notes(attribution, shown)
     if textures:
-        is_occlusion = attribution.kind is ResultKind.OCCLUSION
-        notes.append(
-            "Σ grows with the number of texels and channels: each has the effect of its patch, which is "
-            "replaced in all channels at once"
-            if is_occlusion
-            else "Σ totals over the texels, vertices or faces"
-        )
+        parts = "patches" if attribution.kind is ResultKind.OCCLUSION else "texels, vertices or faces"
+        notes.append(f"Σ totals over the {parts}")
     written = [text for column in columns[3:] for cell in column for text in cell.split()]
     if not attribution.kind.has_sign and any(text.startswith("−") for text in written):
         notes.append(

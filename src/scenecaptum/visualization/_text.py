@@ -8,6 +8,7 @@ from typing import Any, Self
 from ..protocols import Attribution, ResultKind, Scale
 from ._numbers import format_with_error, shorten
 
+TEXEL_MEANING = "each texel: effect of a whole texture that acts like it"  # in a map with single texels
 OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
 LARGE_ERROR = 0.3  # of the norm of all effects, or of a parameter's own
 FINDING_WIDTH = 60  # maximum length of a name in a figure's title
@@ -137,13 +138,6 @@ def color_meanings(attribution: Attribution) -> str:
     subject = "difference" if "minus" in attribution.info else "metric"
     more, less = ("adds to", "takes from") if attribution.kind.is_contribution else ("raises", "lowers")
     return f"blue {more} the {subject}, orange {less} it"
-
-
-def texel_meaning(attribution: Attribution) -> str:
-    """Return what a map with single texels shows of them."""
-    if attribution.kind is ResultKind.OCCLUSION:
-        return "each texel: in proportion to the effect of its patch"
-    return "each texel: effect of a whole texture that acts like it"
 
 
 def is_of_camera(name: str) -> bool:
