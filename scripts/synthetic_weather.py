@@ -1,6 +1,8 @@
 """Write the synthetic weather of ``scenecaptum.daylight.synthetic_weather``: a made-up year at 48° N.
 
-    python scripts/synthetic_weather.py [FILE.epw.gz]
+    python scripts/synthetic_weather.py FILE.epw[.gz]
+
+That of the package is ``src/scenecaptum/daylight/synthetic.epw.gz``.
 
 Irradiance from the altitude γ of the sun and the cloudiness N (0 to 1), after Kasten and Czeplak, "Solar and
 terrestrial radiation dependent on the amount and type of cloud", Solar Energy 24, 1980:
@@ -25,9 +27,9 @@ import numpy as np
 import torch
 
 from scenecaptum.daylight import sun_directions
+from scenecaptum.errors import SceneCaptumError
 from scenecaptum.files import atomic_write
 
-TARGET = Path(__file__).parents[1] / "src" / "scenecaptum" / "daylight" / "synthetic.epw.gz"
 LATITUDE, LONGITUDE, TIME_ZONE, ELEVATION = 48.0, 11.0, 1.0, 500.0
 SEED = 1
 CORRELATION_HOURS = 18.0
@@ -89,11 +91,15 @@ def rows() -> list[str]:
 def main() -> None:
     """Write the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("file", type=Path, nargs="?", default=TARGET)
+    parser.add_argument("file", type=Path, help="the EPW file to write, compressed if its name ends in .gz")
     path = parser.parse_args().file
-    text = "\n".join([*HEADER, *rows()]) + "\n"
-    with atomic_write(path) as partial:
-        partial.write_bytes(gzip.compress(text.encode(), mtime=0))
+    text = ("\n".join([*HEADER, *rows()]) + "\n").encode()
+    try:
+        with atomic_write(path) as partial:
+            partial.write_bytes(gzip.compress(text, mtime=0) if path.suffix == ".gz" else text)
+    except SceneCaptumError as error:
+        parser.error(str(error))
+    print(path)
 
 
 if __name__ == "__main__":

@@ -190,11 +190,22 @@ def test_titles_differ(files: tuple[str, str], titles: list[str]) -> None:
     assert _compare._titles(*files) == titles
 
 
-def test_a_design_with_other_values_is_called_changed() -> None:
-    assert _compare._design_titles(Path("evening.json"), Path("evening.json")) == [
-        "evening",
-        "evening, changed",
-    ]
+@pytest.mark.parametrize(
+    ("origin", "design", "is_changed", "titles"),
+    [
+        ("dusk.json", "dusk.json", True, ["dusk", "dusk, changed"]),
+        ("dusk.json", "dusk.json", False, ["dusk (A)", "dusk (B)"]),
+        ("dusk.json", "night.json", True, ["dusk", "night, changed"]),
+        (None, "dusk.json", True, ["as it is", "dusk, changed"]),
+        (None, "dusk.json", False, ["as it is", "dusk"]),
+        ("dusk.json", None, True, ["dusk", "the design"]),
+    ],
+)
+def test_a_design_with_other_values_is_called_changed(
+    origin: str | None, design: str | None, is_changed: bool, titles: list[str]
+) -> None:
+    paths = [None if name is None else Path(name) for name in (origin, design)]
+    assert _compare._design_titles(*paths, is_changed=is_changed) == titles
 
 
 def test_designs_are_called_by_their_folders(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ import importlib.util
 import math
 import re
 import subprocess
+import sys
 from collections.abc import Callable
 from importlib.resources import files
 from pathlib import Path
@@ -221,3 +222,20 @@ def test_the_synthetic_year_is_plausible(weather):
     clear = weather.select(up > 0.3).direct_normal
     assert (clear > 500).float().mean() > 0.1
     assert (clear < 50).float().mean() > 0.1
+
+
+@pytest.mark.parametrize("name", ["year.epw", "year.epw.gz"])
+def test_the_file_of_the_script_is_read_under_any_name(name, tmp_path, weather, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["synthetic_weather.py", str(tmp_path / name)])
+    script().main()
+    assert capsys.readouterr().out.strip() == str(tmp_path / name)
+    assert (tmp_path / name).read_bytes().startswith(b"LOCATION") is (name == "year.epw")
+    renamed = (tmp_path / name).rename(tmp_path / "downloaded")
+    assert torch.equal(Weather.from_epw(renamed).direct_normal, weather.direct_normal)
+
+
+def test_the_script_says_what_it_cannot_write(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["synthetic_weather.py", str(tmp_path / "none" / "year.epw")])
+    with pytest.raises(SystemExit):
+        script().main()
+    assert "create its folder" in capsys.readouterr().err

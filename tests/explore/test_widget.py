@@ -255,6 +255,8 @@ def test_a_section_of_a_report_predicts(browser, tmp_path):
     renderer = SceneRenderer("cornell-box", inputs="emitters", resolution=(16, 16), max_depth=3)
     exploration = Exploration(renderer, metrics.MeanLuminance(), seed=shifted(), spp=16)
     path = tmp_path / "report.html"
+    with pytest.raises(SceneCaptumError, match=r"call exploration\.linearize\(\) first"):
+        section(exploration)
     write_report(exploration.linearize().attributions, path, sections=[section(exploration)])
     page = browser.new_page()
     complaints: list[str] = []

@@ -150,7 +150,9 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         for values in (design, origin)
     )
     scenes = renders_like(before, renderer, metric, options, origin)
-    titles = options.titles or _design_titles(options.origin, options.design)
+    titles = options.titles or _design_titles(
+        options.origin, options.design, is_changed=bool(options.settings)
+    )
     images = scenes.render(design or {})
     change = scenes.difference(images, design or {})
     rated = scenes.metric, at_values(scenes.metric, renderer, {**scenes.values, **(design or {})})
@@ -300,15 +302,18 @@ def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[Scene
         return renderer, create(renderer)
 
 
-def _design_titles(origin: Path | None, design: Path | None) -> list[str]:
-    if origin is not None and origin == design:  # and what --set changes
-        return [_name(origin), f"{_name(origin)}, changed"]
-    if origin is not None and design is not None:
-        return _titles(origin, design)
-    return [
-        "as it is" if origin is None else _name(origin),
-        "the design" if design is None else _name(design),
-    ]
+def _design_titles(origin: Path | None, design: Path | None, *, is_changed: bool) -> list[str]:
+    """Return what to call two designs of a scene; ``is_changed`` says whether values are set beside the file."""
+    if origin is not None and design is not None and (origin != design or not is_changed):
+        titles = _titles(origin, design)
+    else:
+        titles = [
+            "as it is" if origin is None else _name(origin),
+            "the design" if design is None else _name(design),
+        ]
+    if design is not None and is_changed:
+        titles[1] = f"{titles[1]}, changed"
+    return titles
 
 
 def _titles(*given: str | Path) -> list[str]:

@@ -20,6 +20,7 @@ HOURS_OF_YEAR = 8760
 _LOCATION_FIELDS = 10
 _DIRECT_NORMAL, _DIFFUSE_HORIZONTAL = 14, 15  # positions in a row, counted from 0
 _MISSING = 9999.0
+_GZIP = b"\x1f\x8b"  # how a compressed file begins, whatever its name
 
 
 def read_epw(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -43,7 +44,7 @@ def read_epw(path: str | os.PathLike[str]) -> dict[str, Any]:
 def _lines(path: Path) -> list[str]:
     try:
         data = path.read_bytes()
-        if path.suffix == ".gz":
+        if data.startswith(_GZIP):
             data = gzip.decompress(data)
     except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error

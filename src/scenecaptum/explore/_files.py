@@ -7,6 +7,7 @@ import json
 import zlib
 from importlib import resources
 
+from ..errors import SceneCaptumError
 from ..report import Section
 from ._session import Exploration
 
@@ -25,7 +26,14 @@ def section(exploration: Exploration) -> Section:
     -------
     >>> found = Exploration(renderer, metric)  # doctest: +SKIP
     >>> write_report(found.linearize().attributions, "report.html", sections=[section(found)])  # doctest: +SKIP
+
+    Raises
+    ------
+    SceneCaptumError
+        Without ``linearize()``: there is nothing to predict from.
     """
+    if exploration.about is None:
+        raise SceneCaptumError("The section has no predictions yet: call exploration.linearize() first.")
     messages = [
         {**message, "buffers": [base64.b64encode(zlib.compress(buffer, 9)).decode() for buffer in buffers]}
         for _, message, buffers in exploration.channel.latest.values()

@@ -35,7 +35,7 @@ class VerticalIlluminance(torch.nn.Module):
     illuminance (CIE S 017), on a plane perpendicular to the line of sight.
     """
 
-    measure = Measure("vertical illuminance", "Ev", unit="lx")
+    measure = Measure("vertical illuminance", unit="lx")
     projected: torch.Tensor
 
     def __init__(self, camera: Camera, efficacy: float = 179.0) -> None:

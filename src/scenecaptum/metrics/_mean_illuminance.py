@@ -50,7 +50,7 @@ class MeanIlluminance(GridMetric):
         """Name, unit and direction."""
         if self.efficacy == 1:
             return Measure("mean irradiance", unit="W/m²", better="higher")
-        return Measure("mean illuminance", "Em", unit="lx", better="higher")
+        return Measure("mean illuminance", unit="lx", better="higher")
 
     def forward(self, image: torch.Tensor) -> torch.Tensor:
         """Return the mean over the points of a picture ``(H, W, 3)``, a 0-d tensor."""

@@ -54,7 +54,7 @@ class Uniformity(GridMetric):
     EN 12464-1:2021: ``Uo``, minimum illuminance over mean illuminance.
     """
 
-    measure = Measure("uniformity of illuminance", "Uo", better="higher")
+    measure = Measure("uniformity of illuminance", better="higher")
     relaxation: float
 
     def __init__(self, grid: GridPoints | None = None, *, relaxation: float = 0.02) -> None:
