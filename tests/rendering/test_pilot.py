@@ -121,7 +121,7 @@ def test_parameters_without_any_path_are_marked(mi: Any, tmp_path: Path) -> None
     name = "hidden.bsdf.reflectance.value"
     assert found[name].abs().max() == 0
     reasons = found.untrusted_errors()
-    assert reasons[name] == "reached by no sample: the light is rare, or there is none"
+    assert reasons[name].startswith("reached by no sample: the light is rare, or there is none")
     assert not any(one.startswith("floor") for one in reasons)
     found.save(tmp_path / "found.npz")
     assert SceneAttribution.load(tmp_path / "found.npz").untrusted_errors() == found.untrusted_errors()

@@ -407,7 +407,10 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     page = Page(browser, path)
     notes = page.page.locator("#notes")
     assert "? one replicate has nearly all of the spread" in notes.inner_text()
-    assert "others may be missing (chair: alpha)" in notes.inner_text()
+    assert (
+        "others may be missing; unmarked effects may miss such light, too (chair: alpha)"
+        in notes.inner_text()
+    )
     marked = page.page.locator("#rows tr", has=page.page.locator(".mark", has_text="?"))
     assert [row.inner_text().split()[1:3] for row in marked.all()] == [["chair:", "alpha!?"]]
     page.click(11, 1)

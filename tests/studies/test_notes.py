@@ -10,12 +10,20 @@ import torch
 from seeds import seeds
 
 from scenecaptum.studies import Study, StudyResult
+from scenecaptum.studies._worker import _beside
 from scenecaptum.visualization import rounded
 
 SMALL = {"inputs": "emitters", "resolution": (32, 18), "spp": 16, "max_depth": 3}
 # A sky just above 2000 cd/m², which counts in full by the definition and in part in the relaxed rating.
 DIM = {"sky.emitter.radiance.value*": 0.7}
 NOTE = "this rating is relaxed near the threshold"
+
+
+@pytest.mark.parametrize(("error", "doubt"), [(0.5, "; too close to 19 to be sure"), (0.1, ""), (None, "")])
+def test_the_class_of_a_cell_says_if_noise_leaves_it_in_doubt(error: float | None, doubt: str) -> None:
+    said = {"measure": {"limits": [16.0, 19.0]}, "verdict": "within 19", "notes": ["a note"]}
+    assert _beside(said, 18.5, error) == {"verdict": f"within 19{doubt}", "notes": ["a note"]}
+    assert _beside({**said, "verdict": ""}, 18.5, error)["verdict"] == ""
 
 
 def test_a_rating_near_its_threshold_is_called_relaxed_and_has_no_class(

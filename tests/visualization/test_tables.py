@@ -333,6 +333,25 @@ def test_texture_shows_totals_with_a_note() -> None:
     assert "texel" not in table_text(plain)
 
 
+@pytest.mark.parametrize(
+    ("value", "error", "said"),
+    [
+        (17.9, 0.2, "within 19, the limit for offices"),
+        (18.3, 0.94, "within 19, the limit for offices; too close to 19 to be sure"),
+        (23.5, 2.5, "above 19; too uncertain to be sure: 18.5 to 28.5 within two errors"),
+        (18.99, None, "within 19, the limit for offices"),
+    ],
+)
+def test_a_class_within_the_noise_is_called_so(value: float, error: float | None, said: str) -> None:
+    limits = {"name": "unified glare rating", "limits": [19.0, 22.0, 25.0]}
+    info = {"measure": limits, "verdict": said.partition(";")[0]}
+    rated = dataclasses.replace(make(**info), metric_value=value, metric_standard_error=error)
+    assert f" · {said} · " in " ".join(table_text(rated).replace("\n", " · ").split())
+    assert said in table_html(rated)
+    unrated = dataclasses.replace(rated, info={**rated.info, "verdict": ""})
+    assert "to be sure" not in table_text(unrated)
+
+
 def test_missing_error_bars_are_explained() -> None:
     text = table_text(make(barred=False))
     assert "no error bars: 1 replicate" in text

@@ -230,7 +230,7 @@ def _described(terms: Sequence[_Term], sides: Sequence[AttributionData]) -> dict
     info: dict[str, Any] = {"metric": name, "measure": None, "terms": [list(term) for term in terms]}
     if any(measures):
         info["measure"] = {"name": name, "unit": units[0] if len(set(units)) == 1 else ""}
-    if all(measures) and len(set(units)) > 1:
+    if any(measures) and len(set(units)) > 1:  # of a metric that does not say what it measures, a number
         info["units"] = units
     return info
 

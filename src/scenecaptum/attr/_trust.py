@@ -23,6 +23,8 @@ A = TypeVar("A", bound=AttributionData)
 # Each reason is read after one name, after several, and after "all parameters".
 NO_SAMPLES = "reached by no sample: the light is rare, or there is none"
 FEW_SAMPLES = "too few samples contribute to the variance for a reliable error: the light is rare"
+# Where a rare path is found by some parameters, it may reach the objects of others, whose samples have missed it.
+ELSEWHERE = "; unmarked effects may miss such light, too"
 
 
 def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
@@ -57,7 +59,8 @@ def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
             reasons[name] = (
                 "one replicate has nearly all of the spread: a rare bright path, and others may be missing"
             )
-    return reasons
+    elsewhere = ELSEWHERE if len(reasons) < len(attribution) else ""
+    return {name: f"{reason}{elsewhere}" for name, reason in reasons.items()}
 
 
 def _is_exactly_zero(attribution: AttributionData, name: str) -> bool:

@@ -11,8 +11,15 @@ import torch
 from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
-from ..visualization import format_with_error, metric_unit, rounded, signed_with_error, unit_of_change
-from ._findings import SIGNIFICANT, Definition, Row
+from ..visualization import (
+    class_doubt,
+    format_with_error,
+    metric_unit,
+    rounded,
+    signed_with_error,
+    unit_of_change,
+)
+from ._findings import Definition, Row
 
 _MAP_NDIM = 3
 _MOVES = {"translation": "towards", "rotation": "about"}
@@ -32,14 +39,9 @@ def rating_in_words(
         relaxed = [] if definition.error else numbers
         numbers = [*relaxed, (definition.value, definition.error or 0.0)]
         means = definition.verdict
-    low = min(number - SIGNIFICANT * its_error for number, its_error in numbers)
-    high = max(number + SIGNIFICANT * its_error for number, its_error in numbers)
-    near = [limit for limit in measure.get("limits", []) if low <= limit <= high]
     is_relaxed = definition is None and info.get("relaxed")
     is_class = bool(means) and means != NO_SOURCE and not is_relaxed
-    doubt = f"too close to {near[0]:g} to be sure" if near and is_class else ""
-    if doubt and len(near) > 1:
-        doubt = f"too uncertain to be sure: {rounded(low)} to {rounded(high)} within two errors"
+    doubt = class_doubt(info, numbers) if is_class else ""
     source = f" ({measure['source']})" if measure.get("source") and is_class else ""
     return "; ".join(filter(None, [f"{means}{source}", doubt]))
 

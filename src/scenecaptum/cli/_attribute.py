@@ -306,7 +306,8 @@ def _named_relaxed(said: Explanation) -> SceneAttribution:
     assert isinstance(attribution, SceneAttribution), "it is what _explained was given"
     if said.definition is None:
         return attribution
-    measure = {**attribution.info["measure"], "name": f"{metric_name(attribution)}, relaxed"}
+    # The relaxed value is in no class.
+    measure = {**attribution.info["measure"], "name": f"{metric_name(attribution)}, relaxed", "limits": []}
     info = {**attribution.info, "measure": measure, "verdict": said.rating()}
     return dataclasses.replace(attribution, info=info)
 

@@ -52,6 +52,7 @@ from ..visualization import (
     noise_notes,
     pose_notes,
     range_notes,
+    rating,
     rounded,
     sampling_notes,
     scene_cautions,
@@ -61,7 +62,6 @@ from ..visualization import (
     unit_notes,
     unit_of_change,
     untrusted_groups,
-    verdict,
     with_error,
 )
 from ._pixels import PLAN_DPI, color_maps, encode_figure, encode_map, encode_picture, encode_surfaces
@@ -261,7 +261,7 @@ def _result(
         "title": title,
         "metric": metric_name(attribution),
         "unit": metric_unit(attribution),
-        "verdict": verdict(attribution) if explanation is None else explanation.rating(),
+        "verdict": rating(attribution) if explanation is None else explanation.rating(),
         "premises": [] if explanation is None else _premises(explanation),
         "ranked": "Norm" if attribution.ranks_by_norm() else "Effect",
         "rankedUnit": _effect_unit(attribution),

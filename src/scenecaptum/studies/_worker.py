@@ -22,7 +22,7 @@ from ..explanation import grid_size, rated_image
 from ..protocols import Capabilities
 from ..rendering import SceneRenderer
 from ..scene import restored
-from ..visualization import metric_name, metric_unit
+from ..visualization import class_doubt, metric_name, metric_unit
 from ._folder import StudyFolder
 from ._metrics import create_metric, renderer_options_for, target_of
 from ._notes import convergence_of, described
@@ -97,7 +97,7 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
         "unit": metric_unit(attribution),
         "value": attribution.metric_value,
         "standard_error": attribution.metric_standard_error,
-        **_beside(said),
+        **_beside(said, attribution.metric_value, attribution.metric_standard_error),
         **convergence_of(attribution),
         "max_depth": renderer.plan.max_depth,
         "host": host_name(),
@@ -116,9 +116,11 @@ def _grid(renderer: SceneRenderer) -> dict[str, str]:
     return {"sensor grid": grid_size(renderer.grid)} if renderer.has_grid and renderer.grid.sides else {}
 
 
-def _beside(said: Mapping[str, Any]) -> dict[str, Any]:
+def _beside(said: Mapping[str, Any], value: float, error: float | None) -> dict[str, Any]:
     """Return what stands beside the value of a cell: class, notes, cautions, and a rating by another threshold."""
-    return {name: item for name, item in said.items() if name != "measure"}
+    doubt = class_doubt(said, [(value, error)]) if said["verdict"] else ""
+    verdict = "; ".join(filter(None, [said["verdict"], doubt]))
+    return {**{name: item for name, item in said.items() if name != "measure"}, "verdict": verdict}
 
 
 def _measure(
@@ -145,7 +147,7 @@ def _measure(
         "unit": measure.get("unit", ""),
         "value": found.value,
         "standard_error": found.error,
-        **_beside(said),
+        **_beside(said, found.value, found.error),
         "max_depth": renderer.plan.max_depth,
         "host": host_name(),
         "rows": [],

@@ -101,6 +101,7 @@ from ._table import table_text as table_text
 from ._text import TEXEL_MEANING as TEXEL_MEANING
 from ._text import advised as advised
 from ._text import axis_label as axis_label
+from ._text import class_doubt as class_doubt
 from ._text import findings as findings
 from ._text import is_of_camera as is_of_camera
 from ._text import method_name as method_name
@@ -111,6 +112,7 @@ from ._text import metric_unit as metric_unit
 from ._text import pack as pack
 from ._text import pluralize as pluralize
 from ._text import prefixed as prefixed
+from ._text import rating as rating
 from ._text import sign_labels as sign_labels
 from ._text import unit_of_change as unit_of_change
 from ._text import verdict as verdict

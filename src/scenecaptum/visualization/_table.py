@@ -28,7 +28,7 @@ from ._notes import (
     untrusted_groups,
 )
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
-from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, pluralize, verdict
+from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, pluralize, rating
 
 DEFAULT_ROWS = 40
 _MAX_CHANNELS = 4
@@ -167,7 +167,7 @@ def _table(
     ]
     channels = f": {' or '.join(axes)}" if axes else ""
     gradient_heading = "" if repeats else f"{attribution.kind.value}{channels}"
-    heading = [metric_line(attribution), verdict(attribution), method_name(attribution)]
+    heading = [metric_line(attribution), rating(attribution), method_name(attribution)]
     notes = [f"{'norm' if is_norm else 'effect'}: {axis_label(attribution, scale, width=None)}"]
     notes += unit_notes(attribution, shown, scale) + light_notes(attribution, shown, scale)
     notes += baseline_notes(attribution)

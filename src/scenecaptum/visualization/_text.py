@@ -6,10 +6,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, Self
 
 from ..protocols import Attribution, ResultKind, Scale
-from ._numbers import format_with_error, shorten
+from ._numbers import format_with_error, rounded, shorten
 
 TEXEL_MEANING = "each texel: effect of a whole texture that acts like it"  # in a map with single texels
 OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
+_CLEAR = 2.0  # standard errors between a value and the limit of another class
 LARGE_ERROR = 0.3  # of the norm of all effects, or of a parameter's own
 FINDING_WIDTH = 60  # maximum length of a name in a figure's title
 METRIC_WIDTH = FINDING_WIDTH  # and of a metric's on an axis, which keeps both classes of a difference
@@ -85,6 +86,23 @@ def unit_of_change(unit: str) -> str:
 def verdict(attribution: Attribution) -> str:
     """Return what the metric's value means; empty if the metric does not say."""
     return str(attribution.info.get("verdict") or "")
+
+
+def rating(attribution: Attribution) -> str:
+    """Return what the metric's value means, and whether its error leaves this in doubt."""
+    found = [(attribution.metric_value, attribution.metric_standard_error)]
+    doubt = class_doubt(attribution.info, found) if verdict(attribution) else ""
+    return "; ".join(filter(None, [verdict(attribution), doubt]))
+
+
+def class_doubt(info: Mapping[str, Any], values: Sequence[tuple[float, float | None]]) -> str:
+    """Return why values with these errors may be in another class; empty if they are clear of its limits."""
+    low = min(value - _CLEAR * (error or 0.0) for value, error in values)
+    high = max(value + _CLEAR * (error or 0.0) for value, error in values)
+    near = [limit for limit in (info.get("measure") or {}).get("limits", ()) if low <= limit <= high]
+    if len(near) > 1:
+        return f"too uncertain to be sure: {rounded(low)} to {rounded(high)} within two errors"
+    return f"too close to {near[0]:g} to be sure" if near else ""
 
 
 def _measure(attribution: Attribution) -> Mapping[str, Any]:
