@@ -22,7 +22,6 @@ from ..projection import (
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
 from ._arrows import arrows, draw_arrows
-from ._bars import bar_doubts
 from ._effect_notes import range_notes
 from ._figures import (
     LOWERS,
@@ -45,6 +44,7 @@ from ._notes import (
     jump_notes,
     noise_notes,
     note_of_none,
+    untrusted_groups,
 )
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
@@ -339,13 +339,14 @@ def _panels(
         *noise_notes(attribution),
         *gradient_notes(attribution),
     ]
-    line_length = characters_per_line(width - 0.2, SMALL)
+    line_length, mapped = characters_per_line(width - 0.2, SMALL), _mapped(attribution, options)
+    aside = "~ " if "~" in title else ""  # objects have no marks, only a title may name one
     packed = [
         *pack([note for note in notes if note], line_length),
-        *(f"! {note}" for note in _caution_notes(attribution, _selected(options))),
-        *(_doubts(attribution, options) if unclear else []),
-        *jump_notes(attribution, _mapped(attribution, options)),
-        *(f"~ {note}" for note in range_notes(attribution, scale)),
+        *_caution_notes(attribution, mapped),
+        *_doubts(attribution, mapped),
+        *jump_notes(attribution, mapped),
+        *(f"{aside}{note}" for note in range_notes(attribution, scale)),
     ]
     caption = [line for note in packed for line in wrapped_lines(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
@@ -372,22 +373,23 @@ def _selected(options: dict[str, Any]) -> Sequence[str]:
 
 
 def _mapped(attribution: Attribution, options: dict[str, Any]) -> list[str]:
-    """Return the names of the parameters that a map is of."""
-    patterns = _selected(options) or ["*"]
-    return [name for name in attribution if name in patterns or any(fnmatchcase(name, p) for p in patterns)]
+    """Return the names of the parameters that a map is of, the largest first."""
+    patterns, ranking = _selected(options) or ["*"], attribution.ranking(scale=options.get("scale"))
+    ordered = dict.fromkeys([*(row.name for row in ranking), *attribution])
+    return [name for name in ordered if name in patterns or any(fnmatchcase(name, p) for p in patterns)]
 
 
-def _caution_notes(attribution: Attribution, selected: Sequence[str]) -> list[str]:
+def _caution_notes(attribution: Attribution, mapped: Sequence[str]) -> list[str]:
     """Return why derivatives that a map shows are known to be inaccurate, with the first of their parameters."""
-    shown = selected or list(attribution)
-    return doubt_notes(caution_groups(attribution, shown), attribution.labels, shown, len(attribution))
+    return doubt_notes(caution_groups(attribution, mapped), attribution.labels, mapped, len(attribution))
 
 
-def _doubts(attribution: Attribution, options: dict[str, Any]) -> list[str]:
-    """Return why error bars of what a map shows are unreliable, by which it judges signs."""
-    selected = _selected(options) or list(attribution)
-    rows = [row for row in attribution.ranking(scale=options.get("scale")) if row.name in selected]
-    return bar_doubts(attribution, rows)
+def _doubts(attribution: Attribution, mapped: Sequence[str]) -> list[str]:
+    """Return why errors of what a map shows may be too small, with the first of their parameters."""
+    groups = untrusted_groups(attribution).items()
+    doubts = {why: kept for why, names in groups if (kept := [name for name in names if name in mapped])}
+    notes = doubt_notes(doubts, attribution.labels, mapped, len(attribution))
+    return [f"errors may be too small: {note}" for note in notes]
 
 
 def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:
