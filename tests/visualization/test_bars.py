@@ -278,7 +278,7 @@ def test_a_signed_map_counts_the_objects_whose_sign_is_lost_in_the_noise() -> No
         return all_text(plot_heatmap(seen, **options)) + all_text(plot_overlay(seen, **options))
 
     assert "1 object in white: sign lost in the noise" in text("noisy", "floor", signed=True)
-    assert "1 object in grey: sign lost in the noise" in text("noisy", "floor", signed=True)
+    assert "1 object without colour: sign lost in the noise" in text("noisy", "floor", signed=True)
     assert "lost in the noise" not in text("noisy", "floor")
     assert "lost in the noise" not in text("rough", "floor", signed=True)
     assert "lost in the noise" not in text("noisy", "floor", signed=True, parameter="floor")

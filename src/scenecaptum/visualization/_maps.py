@@ -121,7 +121,7 @@ def plot_heatmap(
     if ax is None:
         denoised = denoised or is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
-        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "white" if signed else None)
+        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "in white" if signed else None)
         left.imshow(render)
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
@@ -166,7 +166,7 @@ def plot_overlay(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
-        ax, bar = _panels(attribution, heat, 1, figsize, title, options, "grey" if signed else None)
+        ax, bar = _panels(attribution, heat, 1, figsize, title, options, "without colour" if signed else None)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
@@ -321,7 +321,8 @@ def _panels(
 ) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches.
 
-    ``unclear`` is the colour in which a signed map has the objects whose sign is lost in the noise.
+    ``unclear`` is how a signed map shows the objects whose sign is lost in the noise: over a dark render no grey
+    tells them.
     """
     scale: Scale | None = options.get("scale")
     w = _width(None, heat, count, limits)
@@ -392,11 +393,11 @@ def _doubts(attribution: Attribution, mapped: Sequence[str]) -> list[str]:
     return [f"errors may be too small: {note}" for note in notes]
 
 
-def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:
-    """Return how many objects of the picture have no colour, because their sign is lost in the noise."""
+def _unclear_note(attribution: Attribution, options: dict[str, Any], shown: str) -> str:
+    """Return how many objects of the picture are ``shown`` so because their sign is lost in the noise."""
     kept = {name: options[name] for name in ("parameter", "scale", "texels", "surfaces") if name in options}
     count = len(objects_of_unclear_sign(attribution, **kept))
-    return f"{pluralize(count, 'object')} in {color}: sign lost in the noise" if count else ""
+    return f"{pluralize(count, 'object')} {shown}: sign lost in the noise" if count else ""
 
 
 def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
