@@ -202,6 +202,21 @@ def test_a_phone_has_one_card_in_a_row(browser, tmp_path):
         context.close()
 
 
+@pytest.mark.parametrize("width", [600, 1000, 1200, 1920])
+def test_two_cards_are_side_by_side_and_as_high_as_each_other(browser, tmp_path, width):
+    note = " ".join(["valid if the lights of the scene are in W/(m² sr)"] * 3)
+    path = written(tmp_path, Explanation(make(), premises=(note,)), Explanation(make(), premises=(note * 2,)))
+    context = browser.new_context(viewport={"width": width, "height": 800})
+    page = context.new_page()
+    page.goto(path.as_uri())
+    boxes = [card.bounding_box() for card in page.locator(".result-face").all()]
+    assert len({box["y"] for box in boxes}) == 1
+    assert boxes[0]["height"] == pytest.approx(boxes[1]["height"])
+    assert boxes[0]["x"] + boxes[0]["width"] < boxes[1]["x"]
+    assert page.evaluate("document.documentElement.scrollWidth") == width
+    context.close()
+
+
 def test_a_plan_has_no_overlay_and_nothing_to_point_at(browser, tmp_path):
     path = written(
         tmp_path,

@@ -95,6 +95,19 @@ def test_intervals_are_those_of_the_summary(tmp_path: Path) -> None:
     assert np.allclose([diamond.get_xy()[:, 0].min(), diamond.get_xy()[:, 0].max()], [row.low, row.high])
 
 
+def test_no_dot_hides_the_marks_of_its_cameras(tmp_path: Path) -> None:
+    cells = made.cells(["office", "attic"], ["front", "left"])
+    effects = {cell: {"wall.alpha": 3.0 if cell.scene == "office" else -3.0} for cell in cells}
+    figure = made.study(tmp_path, effects, noise=1e-3).plot_effects("roughness")
+    figure.canvas.draw()
+    transform, point = figure.axes[0].transData, figure.dpi / 72
+    marked = {mark: [line for line in figure.axes[0].lines if line.get_marker() == mark] for mark in "o|"}
+    assert [len(line.get_xdata()) for line in marked["|"]] == [2, 2]
+    for dot, cameras in zip(marked["o"], marked["|"], strict=True):
+        (_, at), (_, below) = (transform.transform(line.get_xydata())[0] for line in (dot, cameras))
+        assert at - below > point * (dot.get_markersize() + cameras.get_markersize()) / 2
+
+
 def test_a_few_of_many_rooms_can_be_drawn(tmp_path: Path) -> None:
     figure = by_room(tmp_path).plot_effects("roughness", top=1)
     assert figure.axes[0].get_yticklabels()[0].get_text() == "office"
@@ -185,6 +198,16 @@ def test_cameras_are_named_where_there_are_several(
     value = "10.00 ± 0.10 cd/m²"
     below = [value] * len(cameras)
     assert titles == [*([f"{heading}\n{value}" for heading in headings] or below), *below]
+
+
+def test_a_gallery_says_what_has_no_colour(tmp_path: Path) -> None:
+    """Over a dark render, what has no colour is black."""
+    cells = made.cells(["office"])
+    clear = made.study(tmp_path / "clear", {cells[0]: {"wall.alpha": 3.0, "desk.alpha": 2.0}})
+    unclear = made.study(tmp_path / "unclear", {cells[0]: {"wall.alpha": 3.0, "desk.alpha": 0.0}})
+    note = "; no colour: sign lost in the noise"
+    titles = [" ".join(one.plot_gallery().get_suptitle().split()) for one in (clear, unclear)]
+    assert [note in title for title in titles] == [False, True]
 
 
 def test_a_gallery_needs_pictures(tmp_path: Path) -> None:

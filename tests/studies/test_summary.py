@@ -253,7 +253,7 @@ def test_what_cannot_be_estimated_is_said(tmp_path: Path) -> None:
     assert row.new_low is None
     assert row.within > 0
     assert "2 rooms: an interval for a new room takes 3" in str(two)
-    assert "! 1 cell failed or missing, and left out" in str(two)
+    assert "1 cell failed or missing, and left out" in two.notes()
     unknown = combine([Observation("office", "front", 1.0, None), Observation("attic", "front", 2.0, None)])
     assert (unknown.noise, unknown.rooms[0].low, unknown.rooms[0].sign) == (None, None, 0)
 
@@ -270,11 +270,14 @@ def test_one_room_with_most_of_the_weight_is_said(tmp_path: Path) -> None:
         return " ".join(note for note in notes if advice in note)
 
     assert len(summary.rows) == 2
-    assert weighted([0.05, 3.0, 3.0], 2) == f"! one room has most of the weight: {advice}"
+    assert weighted([0.05, 3.0, 3.0], 2) == f"one room has most of the weight: {advice}"
     assert (
         weighted([0.05, 3.0, 3.0], 1)
-        == f"! one room has most of the weight ({summary.rows[0].group}): {advice}"
+        == f"one room has most of the weight ({summary.rows[0].group}): {advice}"
     )
+    metrics = [dataclasses.replace(row, metric="ugr") for row in summary.rows]
+    summary = dataclasses.replace(summary, rows=(*summary.rows, *metrics))
+    assert f" ({summary.rows[0].group} · luminance): " in weighted([0.05, 3.0, 3.0], 1)
     assert not weighted([0.5, 0.5, 0.5], 2)
     assert not weighted([0.05, 3.0], 2)  # that of two rooms has a note of its own
 
@@ -284,7 +287,8 @@ def test_effects_whose_errors_may_be_too_small_are_named(
 ) -> None:
     rooms = ["office", "kitchen"]
     result = made.study(tmp_path / "one", made.random_effects(made.cells(rooms, ["0"]), 0))
-    several = made.study(tmp_path / "several", made.random_effects(made.cells(rooms, ["0", "left"]), 0))
+    cells = made.cells(rooms, ["0", "left"], ["luminance", "ugr"])
+    several = made.study(tmp_path / "several", made.random_effects(cells, 0))
     assert not result.summary().doubts
     rare = {"desk.alpha": 0}  # samples behind its variance
     original = StudyResult.attribution
@@ -295,9 +299,29 @@ def test_effects_whose_errors_may_be_too_small_are_named(
         return dataclasses.replace(found, info=info)
 
     monkeypatch.setattr(StudyResult, "attribution", with_few_samples)
-    (note,) = [line for line in result.summary(None).notes() if line.startswith("?")]
-    assert note.startswith("? the error of 1 effect may be too small (desk: alpha in office): ")
-    assert "(desk: alpha in office, camera 0" in " ".join(several.summary(None).notes())
+    (note,) = [line for line in result.summary(None).notes() if "too small" in line]
+    assert note.startswith("the error of 1 effect may be too small (desk: alpha in office): ")
+    (note,) = [line for line in several.summary(None).notes() if "too few samples" in line]
+    assert note.startswith(
+        "the error of 4 effects may be too small (desk: alpha in office · camera 0 · luminance; desk: alpha in "
+        "office · camera 0 · ugr; desk: alpha in office · left · luminance and 1 more): "
+    )
+
+
+def test_no_note_has_a_mark_that_no_row_has(tmp_path: Path) -> None:
+    cells, failed = made.cells(["office", "attic"]), made.cells(["kitchen"])[0]
+    result = made.study(
+        tmp_path,
+        made.random_effects(cells, 0),
+        failures={failed: "no camera"},
+        said={cells[0]: {"notes": [], "cautions": ["the picture is noisy"]}},
+    )
+    summary = dataclasses.replace(result.summary(), doubts=(("desk: alpha in office", "few samples"),))
+    tables, notes = str(summary).partition("from 2 cells")[::2]
+    assert {"1 of 2 cells has a caution", "1 cell failed or missing, and left out"} <= {*summary.notes()}
+    for note in notes.splitlines():
+        mark = note.split(" ")[0]
+        assert mark not in ("!", "?", "–") or f" {mark} " in tables, note
 
 
 def test_no_effect_at_all_is_zero(tmp_path: Path) -> None:

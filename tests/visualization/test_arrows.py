@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from results import make
 from seeds import shifted
 
-from scenecaptum import SceneRenderer, VanillaSceneGradient
-from scenecaptum.visualization import arrows
+from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient
+from scenecaptum.visualization import arrows, plot_overlay
 
 NAME = "short_box_shape.pose.translation"
 
@@ -89,6 +91,47 @@ def test_an_arrow_points_to_where_the_metric_rises(renderer: SceneRenderer) -> N
     assert np.sign(by_name[NAME].dx) == np.sign(gradient[0].item())
     figure = found.plot_heatmap()
     assert "arrows" in " ".join(text.get_text() for text in figure.texts)
+
+
+def of_a_move(x: float, y: float, towards: tuple[float, float]) -> SceneAttribution:
+    """Return the effect of moving an object at a point of a picture, along and across it."""
+    effects = {"box": torch.tensor([0.6, -0.8])}
+    slopes = [[towards[0] * 0.6, towards[0] * -0.8], [towards[1] * 0.6, towards[1] * -0.8]]
+    return dataclasses.replace(
+        make(),
+        attributions=effects,
+        standard_error=None,
+        covariance=None,
+        extents={"box": torch.ones(2)},
+        image=torch.zeros(20, 40, 3),
+        info={"vectors": ["box"], "shown_moves": {"box": ((x, y), slopes)}},
+    )
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "towards", "end"),
+    [
+        (20, 10, (0, 1), (20, 16)),  # within the picture
+        (20, 17, (0, 1), (20, 20)),
+        (20, 3, (0, -1), (20, 0)),
+        (37, 10, (1, 0), (40, 10)),
+        (3, 10, (-1, 0), (0, 10)),
+        (37, 10, (0.8, 0.6), (40, 12.25)),  # in the same direction
+    ],
+)
+def test_an_arrow_ends_within_the_picture(
+    x: float, y: float, towards: tuple[float, float], end: tuple[float, float]
+) -> None:
+    found = of_a_move(x, y, towards)
+    (arrow,) = arrows(found)
+    assert (arrow.x + arrow.dx, arrow.y + arrow.dy) == pytest.approx(end, abs=1e-6)
+    (drawn,) = plot_overlay(found).axes[0].texts
+    assert drawn.xy == pytest.approx(np.array(end) - 0.5, abs=1e-6), "the first pixel is from -0.5 to 0.5"
+
+
+def test_an_arrow_of_which_the_edge_leaves_little_is_not_drawn() -> None:
+    assert arrows(of_a_move(20, 20, (0, 1))) == []
+    assert arrows(of_a_move(20, 19, (0, 1))) == []
 
 
 def test_no_arrows_without_poses(mi: Any) -> None:

@@ -151,6 +151,7 @@ def test_no_title_names_an_effect_that_may_be_far_off(draw: Any) -> None:
     smaller = " ".join(all_text(draw(of_values(METAL, ("desk.reflectance", 4.0, 0.5)))).split())
     assert "Glare depends most on desk.reflectance" in smaller
     assert "aside" not in smaller
+    assert ("~" in smaller) == (draw is plot_bars), "a map has no marks"
 
 
 def test_a_clear_effect_with_a_mark_is_not_called_uncertain() -> None:
@@ -176,7 +177,9 @@ def test_a_mark_on_an_effect_that_may_be_the_largest_is_in_the_title() -> None:
 @pytest.mark.parametrize("draw", [plot_heatmap, plot_overlay])
 def test_a_map_says_which_derivatives_are_known_to_be_wrong(draw: Any) -> None:
     figure = draw(make(cautions={"rough": "its size is off", "tiny": "its size is off"}))
-    assert "! its size is off (desk: roughness; tiny)" in " ".join(all_text(figure).split())
+    text = " ".join(all_text(figure).split())
+    assert "its size is off (desk: roughness; tiny)" in text
+    assert "!" not in text, "no object has a mark"
     assert outside(figure) == []
     other = draw(make(cautions={"rough": "its size is off"}), parameter="floor")
     assert "!" not in all_text(other)
@@ -275,7 +278,7 @@ def test_a_signed_map_counts_the_objects_whose_sign_is_lost_in_the_noise() -> No
         return all_text(plot_heatmap(seen, **options)) + all_text(plot_overlay(seen, **options))
 
     assert "1 object in white: sign lost in the noise" in text("noisy", "floor", signed=True)
-    assert "1 object in grey: sign lost in the noise" in text("noisy", "floor", signed=True)
+    assert "1 object without colour: sign lost in the noise" in text("noisy", "floor", signed=True)
     assert "lost in the noise" not in text("noisy", "floor")
     assert "lost in the noise" not in text("rough", "floor", signed=True)
     assert "lost in the noise" not in text("noisy", "floor", signed=True, parameter="floor")

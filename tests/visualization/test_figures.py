@@ -388,18 +388,29 @@ def test_signed_maps_diverge_from_white_to_the_colours_of_the_bars() -> None:
     np.testing.assert_allclose([low, high], [to_rgb(LOWERS), to_rgb(RAISES)], atol=0.02)
 
 
-def test_signed_maps_say_which_errors_are_unreliable(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("plot", [plot_heatmap, plot_overlay])
+def test_maps_say_which_errors_may_be_too_small(
+    monkeypatch: pytest.MonkeyPatch, plot: Any, signed: bool
+) -> None:
     monkeypatch.setattr(SceneAttribution, "untrusted_errors", lambda _: {"rough": "few", "lamp": "none"})
-    for plot in (plot_heatmap, plot_overlay):
-        figure = plot(sized(9, 16, make()), signed=True)
-        assert "? few (desk: roughness)" in all_text(figure)
-        assert "? none (lamp)" in all_text(figure)
-        assert outside(figure) == []
-        assert "? few" not in all_text(plot(make())), "magnitudes have no colour for what the noise hides"
-        one = all_text(plot(make(), signed=True, parameter="rough"))
-        assert "? few (desk: roughness)" in one
-        assert "? none" not in one
-    assert "blue raises the metric, orange lowers it" in all_text(figure)
+    figure = plot(sized(9, 16, make()), signed=signed)
+    assert "errors may be too small: few (desk: roughness)" in all_text(figure)
+    assert "errors may be too small: none (lamp)" in all_text(figure)
+    assert "?" not in all_text(figure), "no object has a mark"
+    assert outside(figure) == []
+    for selected in ("rough", "rou*"):
+        one = all_text(plot(make(), signed=signed, parameter=selected))
+        assert "too small: few (desk: roughness)" in one
+        assert "too small: none" not in one
+    monkeypatch.setattr(
+        SceneAttribution, "untrusted_errors", lambda _: dict.fromkeys(["tiny", "rough", "lamp"], "few")
+    )
+    assert "few (lamp; desk: roughness; tiny)" in all_text(plot(make(), signed=signed)), "the largest first"
+
+
+def test_a_signed_map_says_what_its_colours_mean() -> None:
+    assert "blue raises the metric, orange lowers it" in all_text(plot_overlay(make(), signed=True))
 
 
 def test_lightness_of_colour_maps_follows_the_magnitude() -> None:

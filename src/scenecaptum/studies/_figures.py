@@ -58,6 +58,7 @@ MIN_GROUPS = 3  # of a ranking that is compared
 MAX_PAIRS = 2000  # of cells, for each source of variation
 _COLORBAR = 0.14  # width in inches
 _NAME_WIDTH = 28
+_BELOW = 0.3  # a dot: where the marks of its cameras are, in rows
 _COLORS = {1: RAISES, -1: LOWERS, 0: UNCLEAR}
 _MEANS = ("mean of all rooms", "a new room")
 _SOURCES = {
@@ -83,8 +84,8 @@ def plot_effect_by_room(
     """Plot the effect of a group of parameters in each room, the largest on top, and below them the mean.
 
     A dot is the mean over the cameras of a room, with its 95 % interval from the noise of the renders; it is grey
-    if this includes 0. Small marks are its cameras. The diamond is the interval of the mean of all rooms, and the
-    line below it that of the effect in a new room, as in `GroupEffect`.
+    if this includes 0. Small marks below it are its cameras. The diamond is the interval of the mean of all rooms,
+    and the line below it that of the effect in a new room, as in `GroupEffect`.
 
     Parameters
     ----------
@@ -160,9 +161,10 @@ def _intervals(rooms: Sequence[RoomEffect], means: Sequence[str]) -> str:
 def _draw_room(ax: Axes, room: RoomEffect, place: int) -> None:
     color = _COLORS[room.sign]
     if len(room.cameras) > 1:
-        ax.plot(
-            [*room.cameras.values()], [place] * len(room.cameras), "|", color=color, markersize=6, alpha=0.55
-        )
+        below = [place + _BELOW] * len(
+            room.cameras
+        )  # behind the dot, those of like effects could not be seen
+        ax.plot([*room.cameras.values()], below, "|", color=color, markersize=4.5, alpha=0.7)
     if room.low is not None and room.high is not None:
         ax.plot([room.low, room.high], [place, place], color=color, linewidth=1.4, solid_capstyle="butt")
     ax.plot([room.effect], [place], "o", color=color, markersize=4.5)
@@ -416,7 +418,7 @@ def _draw_gallery(
     raises, lowers = sign_labels(some) or ("positive", "negative")
     title = f"Effects of the objects in each pixel on {metric_name(some)}; blue: {raises}, orange: {lowers}"
     if any(map(objects_of_unclear_sign, places.values())):
-        title += "; grey: sign lost in the noise"
+        title += "; no colour: sign lost in the noise"
     more = [f"{pluralize(hidden, 'more room')} not shown"] if hidden else []
     lines = [*wrapped_lines(title, characters_per_line(inches[0] - 0.3, TITLE)), *more]
     part.suptitle("\n".join(lines), fontsize=TITLE, x=0.02, ha="left", parse_math=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -37,7 +37,12 @@ class Cell(NamedTuple):
 
     def __str__(self) -> str:
         """Return the names; a number says what it is of."""
-        return " · ".join([*self._replace(camera=camera_name(self.camera))[:-1], f"seed {self.seed}"])
+        return self.on(self._fields)
+
+    def on(self, axes: Container[str]) -> str:
+        """Return the names on some axes, in the order of all."""
+        names = {**self._asdict(), "camera": camera_name(self.camera), "seed": f"seed {self.seed}"}
+        return " · ".join(name for axis, name in names.items() if axis in axes)
 
 
 def camera_name(camera: str) -> str:

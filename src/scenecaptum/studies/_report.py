@@ -109,7 +109,7 @@ def _index(result: Reported, index: Path, group: Group) -> str:
     rows = [*_rows(result, index, axes, values, marks)]
     notes = notes_of(result, result.cells, with_advice=False)
     if summary is None and (count := count_of_cautions(result, result.cells)):
-        notes = [f"! {count}", *notes]
+        notes = [count, *notes]
     name = html.escape(result.folder.resolve().name or str(result.folder))
     parts = {
         "title": f"{name} · study",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from . import _extras as extras
 from ._cell_effects import KIND, CellEffect, CellResults, Group, Quantity, cell_effects, selected_cells
 from ._notes import count_of_cautions, notes_of
 from ._random_effects import MIN_ROOMS_FOR_NEW_ROOM, Combined, Observation, combine
-from ._recipe import Cell, camera_name
+from ._recipe import Cell
 
 if TYPE_CHECKING:
     import pandas
@@ -137,7 +137,7 @@ class Summary:
     left_out
         Number of cells that failed or have not been computed.
     doubts
-        For each effect of a cell whose error may be too small: scene, camera and group, and the reason.
+        For each effect of a cell whose error may be too small: group and cell, and the reason.
     premises
         What the values of the cells take for granted, and which of them are relaxed or in doubt.
     cautions
@@ -244,22 +244,23 @@ class Summary:
             "between rooms, and between cameras of one room: standard deviations, less the noise of the cells",
             "+ and −: rooms in which the effect is clearly positive or negative",
         ]
-        unknown = group_by_text((row.label, note) for row in self.rows for note in row.unknowns)
-        groups = {row.label for row in self.rows}
+        axes = _with_several(("metric", "design", "method"), self.rows)
+        named = [(" · ".join([row.label, *(getattr(row, axis) for axis in axes)]), row) for row in self.rows]
+        unknown = group_by_text((name, note) for name, row in named for note in row.unknowns)
         for note, names in unknown.items():
-            notes.append(f"{_UNKNOWN} {note}{_where(names, groups)}")
-        if lopsided := [row.label for row in self.rows if row.is_lopsided]:
-            most = f"! one room has most of the weight{_where(lopsided, groups)}"
+            notes.append(f"{_UNKNOWN} {note}{_where(names, named)}")
+        if lopsided := [name for name, row in named if row.is_lopsided]:
+            most = f"one room has most of the weight{_where(lopsided, named)}"
             notes.append(advised(most, "give the noisy rooms more samples", ": "))
         for reason, names in group_by_text(self.doubts).items():
-            some = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+            which = first_few(names, "; ")
             notes.append(
-                f"? the error of {pluralize(len(names), 'effect')} may be too small ({some}): {reason}"
+                f"the error of {pluralize(len(names), 'effect')} may be too small ({which}): {reason}"
             )
-        notes += [f"! {self.cautions}"] if self.cautions else []
+        notes += [self.cautions] if self.cautions else []
         notes += self.premises
         if self.left_out:
-            notes.append(f"! {pluralize(self.left_out, 'cell')} failed or missing, and left out")
+            notes.append(f"{pluralize(self.left_out, 'cell')} failed or missing, and left out")
         return notes
 
     def __str__(self) -> str:
@@ -286,10 +287,8 @@ def summarize_effects(
     rows = [_row(result, names, labels, effects) for names, effects in questions.items()]
     order = list(dict.fromkeys(names[:3] for names in questions))
     rows.sort(key=lambda row: (order.index((row.metric, row.design, row.method)), -abs(row.mean)))
-    several = len({one.cell.camera for one in effects}) > 1
-    doubts = tuple(
-        (f"{labels[one.group]} in {_place(one.cell, several)}", one.doubt) for one in effects if one.doubt
-    )
+    axes = {"scene", *_with_several(Cell._fields, [one.cell for one in effects])}
+    doubts = tuple((f"{labels[one.group]} in {one.cell.on(axes)}", one.doubt) for one in effects if one.doubt)
     left_out = len(result.failures) + len(result.missing)
     premises, cautions = tuple(notes_of(result, cells)), count_of_cautions(result, cells)
     return Summary(tuple(rows), len(cells), left_out, doubts, premises, cautions)
@@ -304,14 +303,14 @@ def _labels(effects: Sequence[CellEffect]) -> dict[str, str]:
     }
 
 
-def _where(names: Sequence[str], groups: set[str]) -> str:
-    """Return the first of the groups that a note is about, in parentheses; empty if it is about all."""
-    which = list(dict.fromkeys(names))
-    return "" if len(which) == len(groups) else f" ({first_few(which)})"
+def _where(names: Sequence[str], rows: Sequence[object]) -> str:
+    """Return the first of the rows that a note is about, in parentheses; empty if it is about all."""
+    return "" if len(names) == len(rows) else f" ({first_few(names)})"
 
 
-def _place(cell: Cell, with_camera: bool) -> str:
-    return f"{cell.scene}, {camera_name(cell.camera)}" if with_camera else cell.scene
+def _with_several(axes: Iterable[str], things: Sequence[object]) -> list[str]:
+    """Return the axes on which the cells or rows differ: a name on another one tells nothing apart."""
+    return [axis for axis in axes if len({getattr(one, axis) for one in things}) > 1]
 
 
 def _row(

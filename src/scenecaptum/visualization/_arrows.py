@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 _MAX_ARROWS = 8
 _LONGEST = 0.15  # of the picture's width, for the largest effect
-_MOST_FORESHORTENED = 0.25  # of its length across the line of sight: a shorter arrow is not drawn
+_SHORTEST = 0.25  # of its length across the line of sight: foreshortened or cut to less, it is not drawn
 
 
 class Arrow(NamedTuple):
-    """An arrow from a point of the picture, in pixels."""
+    """An arrow from a point of the picture, in pixels from its upper left corner."""
 
     name: str
     x: float
@@ -32,7 +32,7 @@ def arrows(attribution: Attribution) -> list[Arrow]:
     """Return an arrow for each translation with a clear effect.
 
     It points to where the metric rises, as far as the picture shows that direction. Its length is proportional to
-    the root of the effect, as the colours of the map.
+    the root of the effect, as the colours of the map, unless it ends at the picture's edge.
     """
     shown, image = attribution.info.get("shown_moves") or {}, attribution.image
     allowed = clear_from(attribution.info)
@@ -53,9 +53,17 @@ def arrows(attribution: Attribution) -> list[Arrow]:
         unit = torch.linalg.matrix_norm(torch.tensor(jacobian, dtype=torch.float64), 2)
         length = longest * math.sqrt(row.effect / rows[0].effect)
         dx, dy = (length * direction / unit).tolist()
-        if math.hypot(dx, dy) >= _MOST_FORESHORTENED * length:
+        kept = min(_inside(x, dx, image.shape[1]), _inside(y, dy, image.shape[0]))
+        dx, dy = kept * dx, kept * dy
+        if math.hypot(dx, dy) >= _SHORTEST * length:
             found.append(Arrow(row.name, x, y, dx, dy))
     return found
+
+
+def _inside(start: float, step: float, size: int) -> float:
+    """Return how much of a step from a place in the picture stays in it: 1 if all does."""
+    room = size - start if step > 0 else start
+    return min(1.0, room / abs(step)) if step else 1.0
 
 
 def draw_arrows(ax: Axes, attribution: Attribution) -> None:
@@ -63,11 +71,12 @@ def draw_arrows(ax: Axes, attribution: Attribution) -> None:
     from matplotlib.patheffects import withStroke
 
     for arrow in arrows(attribution):
+        x, y = arrow.x - 0.5, arrow.y - 0.5  # in an image, 0 is the middle of the first pixel
         line = {"arrowstyle": "->", "color": "black", "linewidth": 1.5, "mutation_scale": 9}
         ax.annotate(
             "",
-            xy=(arrow.x + arrow.dx, arrow.y + arrow.dy),
-            xytext=(arrow.x, arrow.y),
+            xy=(x + arrow.dx, y + arrow.dy),
+            xytext=(x, y),
             arrowprops={
                 **line,
                 "shrinkA": 0,

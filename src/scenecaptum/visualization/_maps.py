@@ -22,7 +22,6 @@ from ..projection import (
 from ..protocols import Attribution, RankedParameter, Scale
 from ..student import clear_from
 from ._arrows import arrows, draw_arrows
-from ._bars import bar_doubts
 from ._effect_notes import range_notes
 from ._figures import (
     LOWERS,
@@ -45,6 +44,7 @@ from ._notes import (
     jump_notes,
     noise_notes,
     note_of_none,
+    untrusted_groups,
 )
 from ._numbers import format_with_error, rounded, shorten
 from ._text import (
@@ -121,7 +121,7 @@ def plot_heatmap(
     if ax is None:
         denoised = denoised or is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
-        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "white" if signed else None)
+        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "in white" if signed else None)
         left.imshow(render)
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
     mapped = draw_map(ax, heat, signed=signed)
@@ -166,7 +166,7 @@ def plot_overlay(
     title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
     bar = None
     if ax is None:
-        ax, bar = _panels(attribution, heat, 1, figsize, title, options, "grey" if signed else None)
+        ax, bar = _panels(attribution, heat, 1, figsize, title, options, "without colour" if signed else None)
     ax.set_title(title, fontsize=TEXT, parse_math=False)
     mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
     draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
@@ -321,7 +321,8 @@ def _panels(
 ) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches.
 
-    ``unclear`` is the colour in which a signed map has the objects whose sign is lost in the noise.
+    ``unclear`` is how a signed map shows the objects whose sign is lost in the noise: over a dark render no grey
+    tells them.
     """
     scale: Scale | None = options.get("scale")
     w = _width(None, heat, count, limits)
@@ -339,13 +340,14 @@ def _panels(
         *noise_notes(attribution),
         *gradient_notes(attribution),
     ]
-    line_length = characters_per_line(width - 0.2, SMALL)
+    line_length, mapped = characters_per_line(width - 0.2, SMALL), _mapped(attribution, options)
+    aside = "~ " if "~" in title else ""  # objects have no marks, only a title may name one
     packed = [
         *pack([note for note in notes if note], line_length),
-        *(f"! {note}" for note in _caution_notes(attribution, _selected(options))),
-        *(_doubts(attribution, options) if unclear else []),
-        *jump_notes(attribution, _mapped(attribution, options)),
-        *(f"~ {note}" for note in range_notes(attribution, scale)),
+        *_caution_notes(attribution, mapped),
+        *_doubts(attribution, mapped),
+        *jump_notes(attribution, mapped),
+        *(f"{aside}{note}" for note in range_notes(attribution, scale)),
     ]
     caption = [line for note in packed for line in wrapped_lines(note, line_length)]
     bottom = 0.12 + 0.14 * len(caption)
@@ -372,29 +374,30 @@ def _selected(options: dict[str, Any]) -> Sequence[str]:
 
 
 def _mapped(attribution: Attribution, options: dict[str, Any]) -> list[str]:
-    """Return the names of the parameters that a map is of."""
-    patterns = _selected(options) or ["*"]
-    return [name for name in attribution if name in patterns or any(fnmatchcase(name, p) for p in patterns)]
+    """Return the names of the parameters that a map is of, the largest first."""
+    patterns, ranking = _selected(options) or ["*"], attribution.ranking(scale=options.get("scale"))
+    ordered = dict.fromkeys([*(row.name for row in ranking), *attribution])
+    return [name for name in ordered if name in patterns or any(fnmatchcase(name, p) for p in patterns)]
 
 
-def _caution_notes(attribution: Attribution, selected: Sequence[str]) -> list[str]:
+def _caution_notes(attribution: Attribution, mapped: Sequence[str]) -> list[str]:
     """Return why derivatives that a map shows are known to be inaccurate, with the first of their parameters."""
-    shown = selected or list(attribution)
-    return doubt_notes(caution_groups(attribution, shown), attribution.labels, shown, len(attribution))
+    return doubt_notes(caution_groups(attribution, mapped), attribution.labels, mapped, len(attribution))
 
 
-def _doubts(attribution: Attribution, options: dict[str, Any]) -> list[str]:
-    """Return why error bars of what a map shows are unreliable, by which it judges signs."""
-    selected = _selected(options) or list(attribution)
-    rows = [row for row in attribution.ranking(scale=options.get("scale")) if row.name in selected]
-    return bar_doubts(attribution, rows)
+def _doubts(attribution: Attribution, mapped: Sequence[str]) -> list[str]:
+    """Return why errors of what a map shows may be too small, with the first of their parameters."""
+    groups = untrusted_groups(attribution).items()
+    doubts = {why: kept for why, names in groups if (kept := [name for name in names if name in mapped])}
+    notes = doubt_notes(doubts, attribution.labels, mapped, len(attribution))
+    return [f"errors may be too small: {note}" for note in notes]
 
 
-def _unclear_note(attribution: Attribution, options: dict[str, Any], color: str) -> str:
-    """Return how many objects of the picture have no colour, because their sign is lost in the noise."""
+def _unclear_note(attribution: Attribution, options: dict[str, Any], shown: str) -> str:
+    """Return how many objects of the picture are ``shown`` so because their sign is lost in the noise."""
     kept = {name: options[name] for name in ("parameter", "scale", "texels", "surfaces") if name in options}
     count = len(objects_of_unclear_sign(attribution, **kept))
-    return f"{pluralize(count, 'object')} in {color}: sign lost in the noise" if count else ""
+    return f"{pluralize(count, 'object')} {shown}: sign lost in the noise" if count else ""
 
 
 def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
