@@ -161,9 +161,8 @@ def _intervals(rooms: Sequence[RoomEffect], means: Sequence[str]) -> str:
 def _draw_room(ax: Axes, room: RoomEffect, place: int) -> None:
     color = _COLORS[room.sign]
     if len(room.cameras) > 1:
-        below = [place + _BELOW] * len(
-            room.cameras
-        )  # behind the dot, those of like effects could not be seen
+        # Behind the dot, those of like effects could not be seen.
+        below = [place + _BELOW] * len(room.cameras)
         ax.plot([*room.cameras.values()], below, "|", color=color, markersize=4.5, alpha=0.7)
     if room.low is not None and room.high is not None:
         ax.plot([room.low, room.high], [place, place], color=color, linewidth=1.4, solid_capstyle="butt")
