@@ -30,6 +30,8 @@ from scenecaptum import (
 )
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
+from scenecaptum.explanation import explain
+from scenecaptum.validation import dgsm, sensitivity_n
 from scenecaptum.visualization import metric_line, metric_name
 
 
@@ -593,6 +595,23 @@ def test_a_renderer_and_a_metric_in_the_wrong_order_are_refused_at_construction(
         VanillaSceneGradient(metrics.MeanLuminance(), ToyRenderer())
     with pytest.raises(SceneCaptumError, match="metric must be callable, not int"):
         VanillaSceneGradient(ToyRenderer(), 3)
+
+
+@pytest.mark.parametrize("metric", [metrics.MeanLuminance, torch.nn.Identity])
+def test_a_class_in_place_of_a_metric_is_refused(metric: type) -> None:
+    """A class can be called, and constructs a metric then; its properties are not those of a metric."""
+    expected = rf"metric is the class {metric.__name__}: write {metric.__name__}\(\)"
+    for use in (
+        lambda: VanillaSceneGradient(ToyRenderer(), metric),
+        lambda: explain(ToyRenderer(), metric),
+        lambda: sensitivity_n(ToyRenderer(), metric),
+        lambda: dgsm(ToyRenderer(), metric, points=4),
+        lambda: metrics.Smoothed(metric),
+    ):
+        with pytest.raises(SceneCaptumError, match=expected):
+            use()
+    with pytest.raises(SceneCaptumError, match=r"renderer is the class ToyRenderer: write ToyRenderer\(\)"):
+        VanillaSceneGradient(ToyRenderer, torch.mean)
 
 
 @pytest.mark.parametrize("inputs", [torch.ones(3), (torch.ones(3),), 3])
