@@ -96,15 +96,17 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"{first.name}, for example: {first.problem}.{hint}"
         )
     if poses := [name for name in known if fnmatchcase(name, item)]:
-        example = f"*.{poses[0].partition('.')[2]}" if ".pose." in poses[0] else poses[0]
         return (
             f"inputs={item!r} matches only poses, such as {poses[0]!r}. A glob selects poses only where it "
-            f"contains 'pose' or 'fov', because each takes renders of its own: write {example!r}."
+            "contains 'pose' or 'fov', because each takes renders of its own: write "
+            f"{_naming_poses(parameters, item, poses)!r}."
         )
     owner = item.partition(".")[0]
     hint = ""
     if item not in KINDS:
-        own = _part_hint(parameters, item) or _material_hint(parameters, owner)
+        own = (
+            _part_hint(parameters, item) or _material_hint(parameters, owner)
+        )
         hint = own or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
@@ -115,6 +117,15 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
         f"Kinds are {', '.join(KINDS)}; `scenecaptum parameters SCENE`, in Python parameters_table(), lists every "
         "name."
     )
+
+
+def _naming_poses(parameters: SceneParameters, item: str, poses: list[str]) -> str:
+    """Return what selects the poses that a glob matches which does not name them."""
+    if all(parameters[name].kind == CAMERA for name in poses):
+        return CAMERA
+    owner, _, rest = item.partition(".")
+    glob = f"{owner}.pose.{rest or '*'}"
+    return glob if any(fnmatchcase(name, glob) for name in parameters) else poses[0]
 
 
 def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> str:
