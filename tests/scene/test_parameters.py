@@ -354,6 +354,24 @@ def test_the_id_of_a_material_in_no_name_is_told_what_its_parameters_are_called(
     assert len(select(parameters, "cube.bsdf.*")) > 1
 
 
+@pytest.mark.parametrize(
+    ("inputs", "meant"),
+    [
+        ("ball.bsdf.alpha", "metal.alpha.value"),
+        ("ball.alpha*", "metal.alpha.value"),
+        ("ball.pose.sale", "ball.pose"),
+    ],
+)
+def test_a_shape_is_told_the_name_of_its_shared_material(mi: Any, inputs: str, meant: str) -> None:
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    camera, ref = {"type": "perspective"}, {"type": "ref", "id": "metal"}
+    shapes = {"ball": {"type": "sphere", "own": ref}, "cube": {"type": "cube", "own": ref}}
+    parameters = discover_in({"type": "scene", "camera": camera, "metal": metal, **shapes})
+    said = message(lambda: select(parameters, inputs))
+    assert f"Did you mean '{meant}" in said
+    assert ("The material of 'ball' is 'metal.*'." in said) == meant.startswith("metal")
+
+
 @pytest.mark.parametrize("inputs", ["sensor.*", "sensor.film.*", "sensor.fov", "camera.x_fov"])
 def test_a_selection_of_the_sensor_is_told_how_the_camera_is_called(inputs: str) -> None:
     said = message(lambda: select(discover_in("cornell-box"), inputs))

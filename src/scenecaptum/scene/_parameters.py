@@ -103,6 +103,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         # Differences are right whatever the plugin's sampling depends on, but only cheap for a few numbers.
         and not (_is_foreign_and_specular(user) and math.prod(shape) <= MAX_DIFFERENCES)
     )
+    shapes = graph.shapes_using(node) if isinstance(user, mi.BSDF) else []
     problem = _problem(name, kind, role, user, shape, value, tracked)
     fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
     return Parameter(
@@ -118,8 +119,9 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         tracked=tracked,
         mixes_specular=_mixes_specular(user, role),
         unknown_sampling=_is_foreign_and_specular(user),
-        is_used=not isinstance(user, mi.BSDF) or bool(graph.shapes_using(node)),
+        is_used=not isinstance(user, mi.BSDF) or bool(shapes),
         lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
+        shapes=tuple(shape.id() for shape in shapes),
         fault=fault,
         problem=problem or fault,
         caution=None if problem else _caution(graph, role, user, shape, value),

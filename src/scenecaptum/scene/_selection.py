@@ -105,7 +105,7 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
     hint = ""
     if item not in KINDS:
         own = (
-            _part_hint(parameters, item) or _material_hint(parameters, owner)
+            _part_hint(parameters, item) or _material_hint(parameters, owner) or _shape_hint(parameters, item)
         )
         hint = own or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
@@ -170,6 +170,18 @@ def _material_hint(parameters: SceneParameters, owner: str) -> str:
     while first and not all(name.startswith(f"{first}.") for name in names):
         first = first.rpartition(".")[0]
     return f" The parameters of {wanted!r} are '{first}.*'." if first else ""
+
+
+def _shape_hint(parameters: SceneParameters, item: str) -> str:
+    """Say what the material of a shape is called, where it has a name of its own, as shared ones have."""
+    shape, _, rest = item.partition(".")
+    found = [p.name for p in parameters.values() if p.is_of_surface and shape in p.shapes and not p.problem]
+    materials = dict.fromkeys(name.partition(".")[0] for name in found)
+    if not materials or shape in materials or not rest or "pose" in rest:
+        return ""
+    listed = ", ".join(f"'{material}.*'" for material in materials)
+    meant = f"{next(iter(materials))}.{rest.removeprefix('bsdf.')}"
+    return f" The material of {shape!r} is {listed}.{near_misses(meant, found)}"
 
 
 def _camera_hint(known: Sequence[str]) -> str:
