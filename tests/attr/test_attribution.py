@@ -32,7 +32,7 @@ from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
 from scenecaptum.explanation import explain
 from scenecaptum.validation import dgsm, sensitivity_n
-from scenecaptum.visualization import metric_line, metric_name
+from scenecaptum.visualization import metric_line, metric_name, table_text
 
 
 def glare_like(image: torch.Tensor) -> torch.Tensor:
@@ -258,6 +258,12 @@ def test_ranking_is_by_descending_effect(cornell_attribution):
     assert saliencies == sorted(saliencies, reverse=True)
     assert [row.rank for row in rows] == list(range(1, len(rows) + 1))
     assert len(cornell_attribution.ranking(top=3)) == 3
+    for top in (0, -1, 2.5):
+        for use in (cornell_attribution.ranking, lambda top: table_text(cornell_attribution, top)):
+            with pytest.raises(
+                SceneCaptumError, match=f"top must be a whole number of at least 1, not {top}"
+            ):
+                use(top)
     first = rows[0]
     assert first.saliency == pytest.approx(abs(cornell_attribution.effects()[first.name]))
     norms = [row.saliency for row in cornell_attribution.ranking(scale="unit")]
