@@ -197,8 +197,9 @@ def test_a_metric_may_import_what_lies_beside_its_file(tmp_path, monkeypatch):
         (["cornell-box", "--metric", "my_metrics.py:number"], ["number", "torch tensor, not float"]),
         (
             ["cornell-box", "--metric", "my_metrics.py:nothing"],
-            ["my_metrics.py:nothing", "cannot be imported"],
+            ["my_metrics.py:nothing", "cannot be imported", "has no 'nothing'. It has ", "per_channel, "],
         ),
+        (["cornell-box", "--metric", "my_metrics.py:blnid"], ["has no 'blnid'. Did you mean 'blind'?"]),
         (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
         (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
         (["cornell-box", "--sensor", "panorama"], ["index of a sensor", "fisheye", "'panorama'"]),
