@@ -108,6 +108,21 @@ def whole_number(name: str, value: int, low: int = 1, high: int | None = None) -
     return int(value)
 
 
+def check_callable(name: str, value: object, advice: str = "") -> None:
+    """Raise if the argument ``name`` cannot be called, or is a class; the message ends with ``advice``."""
+    refuse_class(name, value)
+    if not callable(value):
+        raise SceneCaptumError(f"{name} must be callable, not {type(value).__name__}{advice}.")
+
+
+def refuse_class(name: str, value: object) -> None:
+    """Raise if the argument ``name`` is a class, which can be called like its instances."""
+    if isinstance(value, type):
+        raise SceneCaptumError(
+            f"{name} is the class {value.__name__}: write {value.__name__}(), with its arguments if it needs any."
+        )
+
+
 def check_seed(name: str, value: int) -> int:
     """Return a seed as an int; Mitsuba's seeds have 32 bits."""
     return whole_number(name, value, 0, 2**32 - 1)

@@ -30,7 +30,9 @@ from scenecaptum import (
 )
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.estimation import channel_totals
-from scenecaptum.visualization import metric_line, metric_name
+from scenecaptum.explanation import explain
+from scenecaptum.validation import dgsm, sensitivity_n
+from scenecaptum.visualization import metric_line, metric_name, table_text
 
 
 def glare_like(image: torch.Tensor) -> torch.Tensor:
@@ -256,6 +258,12 @@ def test_ranking_is_by_descending_effect(cornell_attribution):
     assert saliencies == sorted(saliencies, reverse=True)
     assert [row.rank for row in rows] == list(range(1, len(rows) + 1))
     assert len(cornell_attribution.ranking(top=3)) == 3
+    for top in (0, -1, 2.5):
+        for use in (cornell_attribution.ranking, lambda top: table_text(cornell_attribution, top)):
+            with pytest.raises(
+                SceneCaptumError, match=f"top must be a whole number of at least 1, not {top}"
+            ):
+                use(top)
     first = rows[0]
     assert first.saliency == pytest.approx(abs(cornell_attribution.effects()[first.name]))
     norms = [row.saliency for row in cornell_attribution.ranking(scale="unit")]
@@ -327,8 +335,9 @@ def test_a_damaged_file_is_refused(damage, cornell_attribution, tmp_path):
             path.write_text("not an archive")
         case "foreign":
             np.savez(path, header='{"format": "something else"}')
-    with pytest.raises(SceneCaptumError, match=r"result\.npz"):
-        SceneAttribution.load(path)
+    said = message(lambda: SceneAttribution.load(path))
+    assert "result.npz" in said
+    assert "pickle" not in said, "NumPy's advice, which is unsafe and does not help"
 
 
 def test_failed_saving_leaves_no_file(tmp_path, cornell_attribution):
@@ -593,6 +602,23 @@ def test_a_renderer_and_a_metric_in_the_wrong_order_are_refused_at_construction(
         VanillaSceneGradient(metrics.MeanLuminance(), ToyRenderer())
     with pytest.raises(SceneCaptumError, match="metric must be callable, not int"):
         VanillaSceneGradient(ToyRenderer(), 3)
+
+
+@pytest.mark.parametrize("metric", [metrics.MeanLuminance, torch.nn.Identity])
+def test_a_class_in_place_of_a_metric_is_refused(metric: type) -> None:
+    """A class can be called, and constructs a metric then; its properties are not those of a metric."""
+    expected = rf"metric is the class {metric.__name__}: write {metric.__name__}\(\)"
+    for use in (
+        lambda: VanillaSceneGradient(ToyRenderer(), metric),
+        lambda: explain(ToyRenderer(), metric),
+        lambda: sensitivity_n(ToyRenderer(), metric),
+        lambda: dgsm(ToyRenderer(), metric, points=4),
+        lambda: metrics.Smoothed(metric),
+    ):
+        with pytest.raises(SceneCaptumError, match=expected):
+            use()
+    with pytest.raises(SceneCaptumError, match=r"renderer is the class ToyRenderer: write ToyRenderer\(\)"):
+        VanillaSceneGradient(ToyRenderer, torch.mean)
 
 
 @pytest.mark.parametrize("inputs", [torch.ones(3), (torch.ones(3),), 3])

@@ -156,13 +156,25 @@ def test_inputs_that_a_mapping_leaves_unchanged_are_named_apart_from_the_default
         assert note + labels[metal[2]] in " ".join(text.split())
 
 
-def test_groups_count_the_inputs_that_are_unchanged():
+@pytest.mark.parametrize("method", [FeatureAblationScene, ShapleyValueScene])
+@pytest.mark.parametrize(
+    ("groups", "words"),
+    [
+        ({"all of it": ["x", "y", "map"]}, "compared with itself in its group: x"),
+        ({"first": ["x"], "rest": ["y", "map"]}, "compared with itself, so that its 0 says nothing: first"),
+    ],
+)
+def test_inputs_of_groups_that_are_unchanged_are_named(method, groups: dict[str, list[str]], words: str):
+    """A group whose inputs all keep their values has effect 0; one with others does not."""
     room = Room()
     kept = {"x": room.inputs["x"], "y": 0.5, "map": 0.25}
-    groups = {"all of it": ["x", "y", "map"]}
-    attribution = FeatureAblationScene(room, torch.mean).attribute(baselines=kept, groups=groups, spp=16)
-    note = "y 0.5; map 0.25; all other inputs unchanged; compared with itself: 1 input of these groups"
-    assert note in " ".join(table_text(attribution).split())
+    attribution = method(room, torch.mean).attribute(baselines=kept, groups=groups, spp=16)
+    note = f"y 0.5; map 0.25; all other inputs unchanged; {words}"
+    text = " ".join(table_text(attribution).split())
+    assert note in text
+    assert text.count("compared with itself") == 1
+    zeros = [name for name, value in attribution.items() if not value.any()]
+    assert zeros == [name for name, inputs in groups.items() if inputs == ["x"]]
 
 
 def test_default_baselines_are_the_same_of_a_scene_with_an_input_at_0():

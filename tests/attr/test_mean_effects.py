@@ -47,7 +47,10 @@ def test_mean_and_error_are_those_of_the_mean_metric():
 
 
 def test_spread_is_the_standard_deviation_of_the_effects():
-    [row] = mean_effects(results(0.0, shifted(), TARGETS)).rows
+    table = mean_effects(results(0.0, shifted(), TARGETS))
+    [row] = table.rows
+    with pytest.raises(SceneCaptumError, match="top must be a whole number of at least 1, not 0"):
+        table.text(top=0)
     truth = torch.stack([result["x"].double().sum() for result in results(0.0, shifted(), TARGETS)])
     torch.testing.assert_close(torch.tensor(row.effects).double(), truth)
     assert row.spread == pytest.approx(truth.std().item(), rel=1e-5)

@@ -197,8 +197,9 @@ def test_a_metric_may_import_what_lies_beside_its_file(tmp_path, monkeypatch):
         (["cornell-box", "--metric", "my_metrics.py:number"], ["number", "torch tensor, not float"]),
         (
             ["cornell-box", "--metric", "my_metrics.py:nothing"],
-            ["my_metrics.py:nothing", "cannot be imported"],
+            ["my_metrics.py:nothing", "cannot be imported", "has no 'nothing'. It has ", "per_channel, "],
         ),
+        (["cornell-box", "--metric", "my_metrics.py:blnid"], ["has no 'blnid'. Did you mean 'blind'?"]),
         (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
         (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
         (["cornell-box", "--sensor", "panorama"], ["index of a sensor", "fisheye", "'panorama'"]),
@@ -235,22 +236,32 @@ def test_bad_input_is_one_clear_line_and_leaves_nothing(
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    ("arguments", "said"),
     [
-        [],
-        ["attribute"],
-        ["fly"],
-        ["attribute", "office", "--resolution", "big"],
-        ["tradeoff", "office", "--vary", "spp"],
-        ["attribute", "office", "-D", "spp"],
-        ["attribute", "office", "-D", "=4"],
+        ([], "COMMAND"),
+        (["attribute"], "required: scene"),
+        (["fly"], "invalid choice: 'fly'"),
+        (["attribute", "office", "--resolution", "big"], "'big' is not WIDTHxHEIGHT"),
+        (["attribute", "office", "--spp", "1e3"], "argument --spp: '1e3' is not a whole number"),
+        (["attribute", "office", "--tolerance", "5%"], "argument --tolerance: '5%' is not a number"),
+        (["compare", "office", "--seed", "x"], "argument --seed: 'x' is not a whole number"),
+        (["attribute", "office", "--format", "bmp"], "invalid choice: 'bmp'"),
+        (["attribute", "office", "--method", "gradients"], "invalid choice: 'gradients'"),
+        (["tradeoff", "office", "--vary", "spp"], "--vary"),
+        (["attribute", "office", "-D", "spp"], "'spp'"),
+        (["attribute", "office", "-D", "=4"], "'=4'"),
     ],
 )
-def test_bad_usage_exits_with_2(arguments, capsys):
+def test_bad_usage_exits_with_2_and_says_why_first(arguments, said, capsys):
+    """Without the usage of the command, whose many lines would hide it."""
     with pytest.raises(SystemExit) as caught:
         cli.main(arguments)
     assert caught.value.code == 2
-    assert "usage:" in capsys.readouterr().err
+    reason, pointer = capsys.readouterr().err.splitlines()
+    command = " ".join(["scenecaptum", *(one for one in arguments[:1] if one != "fly")])
+    assert reason.startswith(f"{command}: error: ")
+    assert said in reason
+    assert pointer == f"`{command} --help` says what can be given."
 
 
 def unwritable_folders(tmp_path: Path) -> list[Path]:

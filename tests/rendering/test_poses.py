@@ -572,6 +572,37 @@ def test_poses_that_are_refused(mi: Any) -> None:
     assert "camera.pose.translation, for example: it needs a renderer with a single sensor" in of_kind
 
 
+def test_what_a_light_without_geometry_lacks_is_named(mi: Any) -> None:
+    """What changes nothing says why, a transform which pose to select; globs select what there is."""
+    lights = {
+        "point": {"type": "point", "intensity": 1.0},
+        "spot": {"type": "spot", "intensity": 1.0},
+        "sun": {"type": "directional", "irradiance": 1.0},
+        "env": {"type": "envmap", "bitmap": mi.Bitmap(np.ones((2, 4, 3), np.float32))},
+    }
+    parts = {"type": "scene", "sensor": {"type": "perspective"}, **lights}
+    size, far = "it has no size", "its light comes from infinitely far away"
+    why = {
+        "point": {"rotation": "its light is the same in all directions", "scale": size},
+        "spot": {"scale": size},
+        "sun": {"translation": far, "scale": far},
+        "env": {"translation": far, "scale": far},
+    }
+    for light, reasons in why.items():
+        for component, reason in reasons.items():
+            name = f"{light}.pose.{component}"
+            assert message(lambda n=name: SceneRenderer(parts, n)) == f"{name!r} cannot be moved: {reason}."
+        place = "position" if light == "point" else "to_world"
+        said = message(lambda n=f"{light}.{place}": SceneRenderer(parts, n))
+        assert f"it positions a light; select {light}.pose.* instead." in said
+        left = {f"{light}.pose.{one}" for one in ("translation", "rotation", "scale") if one not in reasons}
+        assert set(SceneRenderer(parts, f"{light}.pose.*").inputs) == left
+    sky = {**parts, "env": {"type": "sunsky"}}
+    for name in ("env.pose.scale", "env.to_world"):
+        said = message(lambda n=name: SceneRenderer(sky, n))
+        assert "the place of Mitsuba's SunskyEmitter cannot be changed." in said
+
+
 def test_a_lamp_in_the_ceiling_is_marked(mi: Any) -> None:
     renderer = SceneRenderer("cornell-box", "light.pose.*", resolution=(24, 24), spp=256)
     found = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=shifted())

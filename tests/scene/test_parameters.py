@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -307,12 +308,24 @@ def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, word
     assert [word for word in words if word not in said] == [], said
 
 
-def test_a_glob_of_poses_is_told_how_to_select_them() -> None:
-    parameters = discover_in("office")
-    said = message(lambda: select(parameters, "*.translation"))
+@pytest.mark.parametrize(
+    ("glob", "instead"),
+    [
+        ("*.translation", "*.pose.translation"),
+        ("chair.*tion", "chair.pose.*tion"),
+        ("chair*", "chair*.pose.*"),
+        ("camera.*", "camera"),
+        ("*translation", "chair.pose.translation"),
+    ],
+)
+def test_a_glob_of_poses_is_told_how_to_select_them(glob: str, instead: str) -> None:
+    """What is suggested selects the same poses, and those of no other object."""
+    poses = [p for p in discover_in("office").values() if p.moves and p.owners[0] in ("chair", "camera")]
+    said = message(lambda: select(SceneParameters(poses), glob))
     assert "matches only poses" in said
-    assert "write '*.pose.translation'" in said
-    assert select(parameters, "*.pose.translation")
+    assert f"write {instead!r}" in said
+    selected = select(SceneParameters(poses), instead)
+    assert set(selected) <= {p.name for p in poses if fnmatchcase(p.name, glob)}
 
 
 def test_a_shape_is_told_the_object_that_it_is_a_part_of() -> None:
@@ -339,6 +352,24 @@ def test_the_id_of_a_material_in_no_name_is_told_what_its_parameters_are_called(
     parameters = discover_in({"type": "scene", "camera": camera, "cube": cube, "sky": {"type": "constant"}})
     assert "The parameters of 'paint' are 'cube.bsdf.*'." in message(lambda: select(parameters, inputs))
     assert len(select(parameters, "cube.bsdf.*")) > 1
+
+
+@pytest.mark.parametrize(
+    ("inputs", "meant"),
+    [
+        ("ball.bsdf.alpha", "metal.alpha.value"),
+        ("ball.alpha*", "metal.alpha.value"),
+        ("ball.pose.sale", "ball.pose"),
+    ],
+)
+def test_a_shape_is_told_the_name_of_its_shared_material(mi: Any, inputs: str, meant: str) -> None:
+    metal = {"type": "roughconductor", "alpha": 0.3}
+    camera, ref = {"type": "perspective"}, {"type": "ref", "id": "metal"}
+    shapes = {"ball": {"type": "sphere", "own": ref}, "cube": {"type": "cube", "own": ref}}
+    parameters = discover_in({"type": "scene", "camera": camera, "metal": metal, **shapes})
+    said = message(lambda: select(parameters, inputs))
+    assert f"Did you mean '{meant}" in said
+    assert ("The material of 'ball' is 'metal.*'." in said) == meant.startswith("metal")
 
 
 @pytest.mark.parametrize("inputs", ["sensor.*", "sensor.film.*", "sensor.fov", "camera.x_fov"])

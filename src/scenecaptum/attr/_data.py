@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, get_args
 
 import torch
 
-from ..errors import SceneCaptumError, UnknownNameError, near_misses
+from ..errors import SceneCaptumError, UnknownNameError, near_misses, whole_number
 from ..estimation import channel_totals, covariance_of_mean, student_t
 from ..projection import SurfaceMap
 from ..protocols import ResultKind, Scale
@@ -251,6 +251,7 @@ class AttributionData(Mapping[str, torch.Tensor]):
         Poses without a derivative, ``info["jumps"]``, are left out. Those of ``ranked_last`` follow after the
         others.
         """
+        count = None if top is None else whole_number("top", top)
         effects, effect_errors = self.effects(scale), self.effects_error(scale)
         saliency, errors = self.saliency(scale), self.saliency_error(scale)
         jumps = self.info.get("jumps", {})
@@ -270,7 +271,7 @@ class AttributionData(Mapping[str, torch.Tensor]):
                 total=tuple(channel_totals(self[name]).tolist()),
                 total_error=self._total_error(name),
             )
-            for rank, name in enumerate(order[:top], start=1)
+            for rank, name in enumerate(order[:count], start=1)
         ]
 
     def ranked_last(self, scale: Scale | None = None) -> frozenset[str]:

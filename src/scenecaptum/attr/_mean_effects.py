@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from ..errors import SceneCaptumError
+from ..errors import SceneCaptumError, whole_number
 from ..protocols import Scale
 from ..visualization import (
     DEFAULT_TOP,
@@ -78,7 +78,7 @@ class MeanEffects:
 
     def text(self, top: int | None = DEFAULT_TOP) -> str:
         """Return the table that ``print`` shows, of the first ``top`` parameters; None for all."""
-        rows = self.rows[:top]
+        rows = self.rows if top is None else self.rows[: whole_number("top", top)]
         doubts = group_by_text(self.untrusted.items())
         # No marks if all rows would have one.
         marked = {name for names in doubts.values() if len(names) < len(self.rows) for name in names}

@@ -124,8 +124,10 @@ def read_file(path: str | os.PathLike[str] | BinaryIO) -> dict[str, Any]:
     except SceneCaptumError:
         raise
     except Exception as error:  # any error of zip, NumPy or JSON is due to the file
+        # Not that the file may be unpickled, which NumPy advises for whatever it does not know.
+        reason = "" if "pickle" in str(error) else f" ({type(error).__name__}: {_brief(error)})"
         raise SceneCaptumError(
-            f"{path} is not a saved attribution, or it is damaged ({type(error).__name__}: {_brief(error)}). "
+            f"{path} is not a saved attribution, or it is damaged{reason}. "
             "Save it again with SceneAttribution.save."
         ) from error
 

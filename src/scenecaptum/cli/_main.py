@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NoReturn
 
 from .. import __version__
 from ..errors import SceneCaptumError, near_misses
@@ -101,12 +101,20 @@ def _kept(options: argparse.Namespace, started: float) -> str:
 
 
 class _CommandParser(argparse.ArgumentParser):
-    """Reports a misspelt option with the usage of its command; argparse shows that of the whole program.
+    """Reports what is wrong in one line, in words; argparse puts the usage before it, which hides it.
 
     ``needless`` says of options of other commands why this one does not have them.
     """
 
     needless: Mapping[str, str] = {}
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.register("type", int, _whole_number)  # what parses the text of an option of this type
+        self.register("type", float, _number)
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(BAD_INPUT, f"{self.prog}: error: {message}\n`{self.prog} --help` says what can be given.\n")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         options, unknown = super().parse_known_args(args, namespace)
@@ -117,14 +125,28 @@ class _CommandParser(argparse.ArgumentParser):
         return options, unknown
 
 
+def _whole_number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number, such as 64") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number, such as 0.5") from None
+
+
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
-    whole = argparse.ArgumentParser(
+    whole = _CommandParser(
         prog="scenecaptum",
         description="Attribute any metric of a rendered image to the parameters of the scene.",
     )
     whole.add_argument("--version", action="version", version=f"scenecaptum {__version__}")
-    commands = whole.add_subparsers(required=True, metavar="COMMAND", parser_class=_CommandParser)
+    commands = whole.add_subparsers(required=True, metavar="COMMAND")
     for command in COMMANDS:
         command.add(commands)
     return whole

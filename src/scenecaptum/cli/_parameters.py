@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print(json.dumps([_row(parameter) for parameter in chosen], indent=1))
         return 0
-    shown = [one for one in chosen if options.all or options.filters or one.moves or not one.problem]
+    shown = [one for one in chosen if options.all or options.filters or not one.problem]
     print(SceneParameters(shown))
     if len(shown) < len(chosen):
         print(

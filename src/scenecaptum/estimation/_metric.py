@@ -11,7 +11,7 @@ from typing import Any, TypeAlias, cast
 
 import torch
 
-from ..errors import SceneCaptumError, listed
+from ..errors import SceneCaptumError, check_callable, listed, refuse_class
 from ..finite import NotFiniteError, describe_location
 from ..protocols import Capabilities, Measure, Renderer, takes_keyword
 from ..training_mode import warn_of_training_mode
@@ -30,15 +30,12 @@ OWN_ADVICE = (
 
 
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
-    """Raise if either is not callable, or if they were passed in the wrong order.
+    """Raise if either is not callable, is a class, or if they were passed in the wrong order.
 
     Warn if the metric calls a network in training mode.
     """
     for name, value in (("renderer", renderer), ("metric", metric)):
-        if not callable(value):
-            raise SceneCaptumError(
-                f"{name} must be callable, not {type(value).__name__}: pass a renderer, then a metric."
-            )
+        check_callable(name, value, ": pass a renderer, then a metric")
     if Capabilities(metric).inputs is not None and Capabilities(renderer).inputs is None:
         raise SceneCaptumError("The renderer and the metric are swapped: the renderer comes first.")
     if takes_keyword(metric, "seed") and not takes_keyword(renderer, "seed"):
@@ -60,6 +57,7 @@ class TargetedMetric:
     transform: ImageTransform = IDENTITY
 
     def __post_init__(self) -> None:
+        refuse_class("metric", self.metric)
         if isinstance(self.target, str):
             # Frozen, and everything else knows elements by their index.
             object.__setattr__(self, "target", self._index_of(self.target))

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import torch
 
-from ..errors import SceneCaptumError
+from ..errors import SceneCaptumError, near_misses
 from ..protocols import WithSensor
 
 Metric: TypeAlias = Callable[[torch.Tensor], torch.Tensor]
@@ -70,12 +70,20 @@ def import_metric(name: str) -> Metric:
     """
     module, _, attribute = name.rpartition(":")
     try:
-        imported = getattr(_import_module(module), attribute)
+        found = _import_module(module)
+        imported = getattr(found, attribute, None)
     except Exception as error:  # the user's code may raise anything
         advice = ". 'scenecaptum doctor' shows the fix" if "torchvision" in str(error) else ""
         raise SceneCaptumError(
             f"The metric {name!r} cannot be imported: {type(error).__name__}: {error}{advice}"
         ) from error
+    if imported is None:
+        names = [own for own, value in vars(found).items() if callable(value) and not own.startswith("_")]
+        known = f" It has {', '.join(names)}." if names else ""
+        raise SceneCaptumError(
+            f"The metric {name!r} cannot be imported: {module} has no {attribute!r}."
+            f"{near_misses(attribute, names, instead=known)}"
+        )
     metric: Metric = imported() if isinstance(imported, type) else imported
     if not callable(metric):
         raise SceneCaptumError(f"The metric {name!r} is {type(metric).__name__}, not a function of an image.")

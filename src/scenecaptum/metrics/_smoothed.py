@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 
 import torch
 
-from ..errors import SceneCaptumError
+from ..errors import SceneCaptumError, check_callable
 from ..training_mode import warn_of_training_mode
 from ._measure import Measure
 from ._noise import DEFAULT_DRAWS, NoiseKind, PictureNoise, smoothed_measure, without_smoothing
@@ -73,8 +73,7 @@ class Smoothed(torch.nn.Module):
         seed: int = 0,
     ) -> None:
         super().__init__()
-        if not callable(metric):
-            raise SceneCaptumError(f"metric must be callable, not {type(metric).__name__}.")
+        check_callable("metric", metric)
         if getattr(metric, "n_draws", 0):
             raise SceneCaptumError(
                 f"{type(metric).__name__} is smoothed already: give the metric without smoothing."

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from itertools import combinations
 from typing import Any, TypeAlias
@@ -20,14 +20,15 @@ from ._naming import plugin_name
 Objects: TypeAlias = "Mapping[str, str | Sequence[str]]"
 
 _ALL = ("translation", "rotation", "scale")
-# By class name, what of a light's pose changes its light.
+_NO_SIZE, _FAR = "it has no size", "its light comes from infinitely far away"
+# By class name, what of a light's pose does not change its light, and why.
 _LIGHTS = {
-    "PointLight": ("translation",),
-    "SpotLight": ("translation", "rotation"),
-    "Projector": ("translation", "rotation"),
-    "IesLamp": ("translation", "rotation"),
-    "DirectionalEmitter": ("rotation",),
-    "EnvironmentMapEmitter": ("rotation",),
+    "PointLight": {"rotation": "its light is the same in all directions", "scale": _NO_SIZE},
+    "SpotLight": {"scale": _NO_SIZE},
+    "Projector": {"scale": _NO_SIZE},
+    "IesLamp": {"scale": _NO_SIZE},
+    "DirectionalEmitter": {"translation": _FAR, "scale": _FAR},
+    "EnvironmentMapEmitter": {"translation": _FAR, "scale": _FAR},
 }
 
 _POINT_LAMPS = ("PointLight", "SpotLight", "IesLamp")
@@ -53,6 +54,8 @@ class SceneObject:
         The point about which it turns and grows: the centre of its bounds, or the place of a light.
     problem
         Why it cannot be moved, or None.
+    fixed
+        What of its pose does not change the picture, each with the reason.
     part_of
         The names of the objects that it is a part of, and moves with, the smallest first.
     """
@@ -64,6 +67,7 @@ class SceneObject:
     box: npt.NDArray[np.float64] | None
     pivot: tuple[float, float, float]
     problem: str | None = None
+    fixed: Mapping[str, str] = field(default_factory=dict)
     part_of: tuple[str, ...] = ()
 
     def is_related(self, other: SceneObject) -> bool:
@@ -299,21 +303,25 @@ def _box(node: Any) -> npt.NDArray[np.float64] | None:
 def _light(graph: SceneGraph, node: Any, keys: Mapping[Any, tuple[str, ...]], taken: set[str]) -> SceneObject:
     identifier = str(node.id()) or ".".join(name for name, _ in graph.path(node))
     name = f"{identifier}_light" if identifier in taken else identifier
-    kind = node.class_name()
-    problem = None
-    if kind == "ConstantBackgroundEmitter":
-        problem = "its light is the same from all directions"
-    elif kind not in _LIGHTS:
-        problem = f"the place of Mitsuba's {kind} cannot be changed"
+    fixed = _LIGHTS.get(node.class_name(), {})
     return SceneObject(
         name=name,
         shapes=(),
         keys=keys.get(node, ()),
-        components=_LIGHTS.get(kind, ("rotation",)),
+        components=tuple(component for component in _ALL if component not in fixed),
         box=None,
         pivot=_place(node, keys.get(node, ())),
-        problem=problem,
+        problem=problem_of_light(node),
+        fixed=fixed,
     )
+
+
+def problem_of_light(node: Any) -> str | None:
+    """Return why a light without geometry cannot be moved at all, or None."""
+    kind = node.class_name()
+    if kind == "ConstantBackgroundEmitter":
+        return "its light is the same from all directions"
+    return None if kind in _LIGHTS else f"the place of Mitsuba's {kind} cannot be changed"
 
 
 def _place(node: Any, keys: Sequence[str]) -> tuple[float, float, float]:

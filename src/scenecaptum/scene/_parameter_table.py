@@ -83,7 +83,7 @@ class Parameter:
     lobe_weight
         Whether it weighs a lobe that is skipped where the weight is at a bound.
     shapes
-        The shapes that it moves, for a pose.
+        The shapes that it moves, for a pose; those that use its material, for a property of one.
     fault
         Why the scene's own value is invalid (not finite or physically impossible), or None.
     problem

@@ -15,7 +15,7 @@ from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._loading import SceneLike, XmlParameters, load_scene
 from ._naming import area_emitter_id
-from ._objects import camera_object, find_objects
+from ._objects import camera_object, find_objects, problem_of_light
 from ._parameter_table import IN_BYTES, SURFACE_KINDS, Parameter, SceneParameters
 from ._poses import camera_parameters, pose_parameters
 from ._roles import (
@@ -103,7 +103,8 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         # Differences are right whatever the plugin's sampling depends on, but only cheap for a few numbers.
         and not (_is_foreign_and_specular(user) and math.prod(shape) <= MAX_DIFFERENCES)
     )
-    problem = _problem(kind, role, user, shape, value, tracked)
+    shapes = graph.shapes_using(node) if isinstance(user, mi.BSDF) else []
+    problem = _problem(name, kind, role, user, shape, value, tracked)
     fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
     return Parameter(
         name=name,
@@ -118,8 +119,9 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         tracked=tracked,
         mixes_specular=_mixes_specular(user, role),
         unknown_sampling=_is_foreign_and_specular(user),
-        is_used=not isinstance(user, mi.BSDF) or bool(graph.shapes_using(node)),
+        is_used=not isinstance(user, mi.BSDF) or bool(shapes),
         lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
+        shapes=tuple(shape.id() for shape in shapes),
         fault=fault,
         problem=problem or fault,
         caution=None if problem else _caution(graph, role, user, shape, value),
@@ -155,7 +157,7 @@ def _material_role(role: str) -> MaterialRole:
 
 
 def _problem(
-    kind: str, role: str, user: Any, shape: tuple[int, ...], value: Any, tracked: bool
+    name: str, kind: str, role: str, user: Any, shape: tuple[int, ...], value: Any, tracked: bool
 ) -> str | None:
     """Return the reason why the parameter cannot be differentiated, or None."""
     type_name = type(value).__name__
@@ -170,10 +172,11 @@ def _problem(
         return CAMERA_INPUTS.get(role, "it is a setting of the camera, not a continuous part of the scene")
     if type_name == "TensorXu8":
         return IN_BYTES
+    if kind == "emitters" and (role in EMITTER_POSES or role == "to_world"):
+        instead = problem_of_light(user) or f"select {name.rpartition('.')[0]}.pose.* instead"
+        return f"it positions a light; {instead}"
     if _is_transform(value):
         return "it is a transformation, whose entries are not differentiated"
-    if kind == "emitters" and role in EMITTER_POSES:
-        return "it positions a light; move the light instead, such as by NAME.pose.translation"
     if _is_untracked_array(value):
         return (
             f"it is {article} {type_name}, whose numbers Dr.Jit does not track; make it an array of the variant "

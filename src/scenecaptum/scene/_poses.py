@@ -45,8 +45,10 @@ def with_unit(label: str, name: str) -> str:
 
 
 def pose_parameters(objects: Iterable[SceneObject], *, kind: str = POSES) -> list[Parameter]:
-    """Return the parameters of the poses of objects."""
-    return [_parameter(one, component, kind) for one in objects for component in one.components]
+    """Return the parameters of the poses of objects, also those that change nothing, with the reason."""
+    return [
+        _parameter(one, component, kind) for one in objects for component in (*one.components, *one.fixed)
+    ]
 
 
 def camera_parameters(camera: SceneObject) -> list[Parameter]:
@@ -68,7 +70,7 @@ def _parameter(one: SceneObject, component: str, kind: str) -> Parameter:
         owners=(one.name,),
         tracked=False,
         shapes=one.shapes,
-        problem=one.problem,
+        problem=one.problem or one.fixed.get(component),
     )
 
 

@@ -96,15 +96,17 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             f"{first.name}, for example: {first.problem}.{hint}"
         )
     if poses := [name for name in known if fnmatchcase(name, item)]:
-        example = f"*.{poses[0].partition('.')[2]}" if ".pose." in poses[0] else poses[0]
         return (
             f"inputs={item!r} matches only poses, such as {poses[0]!r}. A glob selects poses only where it "
-            f"contains 'pose' or 'fov', because each takes renders of its own: write {example!r}."
+            "contains 'pose' or 'fov', because each takes renders of its own: write "
+            f"{_naming_poses(parameters, item, poses)!r}."
         )
     owner = item.partition(".")[0]
     hint = ""
     if item not in KINDS:
-        own = _part_hint(parameters, item) or _material_hint(parameters, owner)
+        own = (
+            _part_hint(parameters, item) or _material_hint(parameters, owner) or _shape_hint(parameters, item)
+        )
         hint = own or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
@@ -115,6 +117,15 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
         f"Kinds are {', '.join(KINDS)}; `scenecaptum parameters SCENE`, in Python parameters_table(), lists every "
         "name."
     )
+
+
+def _naming_poses(parameters: SceneParameters, item: str, poses: list[str]) -> str:
+    """Return what selects the poses that a glob matches which does not name them."""
+    if all(parameters[name].kind == CAMERA for name in poses):
+        return CAMERA
+    owner, _, rest = item.partition(".")
+    glob = f"{owner}.pose.{rest or '*'}"
+    return glob if any(fnmatchcase(name, glob) for name in parameters) else poses[0]
 
 
 def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> str:
@@ -159,6 +170,18 @@ def _material_hint(parameters: SceneParameters, owner: str) -> str:
     while first and not all(name.startswith(f"{first}.") for name in names):
         first = first.rpartition(".")[0]
     return f" The parameters of {wanted!r} are '{first}.*'." if first else ""
+
+
+def _shape_hint(parameters: SceneParameters, item: str) -> str:
+    """Say what the material of a shape is called, where it has a name of its own, as shared ones have."""
+    shape, _, rest = item.partition(".")
+    found = [p.name for p in parameters.values() if p.is_of_surface and shape in p.shapes and not p.problem]
+    materials = dict.fromkeys(name.partition(".")[0] for name in found)
+    if not materials or shape in materials or not rest or "pose" in rest:
+        return ""
+    listed = ", ".join(f"'{material}.*'" for material in materials)
+    meant = f"{next(iter(materials))}.{rest.removeprefix('bsdf.')}"
+    return f" The material of {shape!r} is {listed}.{near_misses(meant, found)}"
 
 
 def _camera_hint(known: Sequence[str]) -> str:

@@ -218,18 +218,25 @@ def baseline_notes(attribution: Attribution) -> list[str]:
 
 
 def _unchanged(attribution: Attribution) -> str:
-    """Return which inputs have their own value as their baseline; of groups, which mix them, how many."""
+    """Return which inputs have their own value as their baseline: rows, and those in a group with others."""
     baselines = attribution.info.get("baselines")
     if not isinstance(baselines, Mapping):  # of a list of baselines
         return ""
     names = [name for name, baseline in baselines.items() if baseline == "unchanged"]
-    rows = [name for name in names if name in attribution]
-    if not rows:
-        count = pluralize(len(names), "input")
-        return f"; compared with {_itself(names)}: {count} of these groups" if names else ""
-    named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
-    its = "its" if len(rows) == 1 else "their"
-    return f"; compared with {_itself(rows)}, so that {its} 0 says nothing: {named}"
+    groups = attribution.info.get("groups") or {name: [name] for name in attribution}
+    rows = [row for row, inputs in groups.items() if row in attribution and set(inputs) <= set(names)]
+    grouped = [
+        name for name in names if any(name in inputs for row, inputs in groups.items() if row not in rows)
+    ]
+    note = ""
+    if rows:
+        its = "its" if len(rows) == 1 else "their"
+        named = first_few([attribution.labels.get(name, name) for name in rows], "; ")
+        note = f"; compared with {_itself(rows)}, so that {its} 0 says nothing: {named}"
+    if grouped:
+        its = "its group" if len(grouped) == 1 else "their groups"
+        note += f"; compared with {_itself(grouped)} in {its}: {first_few(grouped, '; ')}"
+    return note
 
 
 def _itself(names: Sequence[str]) -> str:

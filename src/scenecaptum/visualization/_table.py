@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._effect_notes import light_notes, range_marked, range_notes
+from ._figures import first
 from ._layout import grid, wrap
 from ._notes import (
     baseline_notes,
@@ -135,7 +136,7 @@ def _table(
 ) -> _Table:
     ranking = attribution.ranking(scale=scale)
     is_norm = attribution.ranks_by_norm(scale)
-    shown = ranking if top is None else ranking[:top]
+    shown = first(ranking, top)
     with_rows = {row.name for row in shown}
     groups = caution_groups(attribution, (row.name for row in ranking))
     markers = caution_marks(groups)
