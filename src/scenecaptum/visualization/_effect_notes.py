@@ -54,11 +54,10 @@ def light_notes(
         row.name in on and row.saliency > max(least, allowed * (row.saliency_error or 0.0)) for row in rows
     ):
         return []
-    symbol = metric_symbol(attribution)
     return [
         advised(
-            f"of a light, to first order: {symbol} is not linear in the light, so switching it off may change "
-            f"{symbol} by much more or less",
+            f"of a light, to first order: {metric_symbol(attribution)} is not linear in the light, and may change "
+            "by much more or less if one is switched off",
             'for that, use an ablation with groups="object" (--method ablation --groups object)',
         )
     ]
