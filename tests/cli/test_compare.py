@@ -139,6 +139,14 @@ def test_saved_results_of_different_quantities_are_refused(
     assert not (tmp_path / "out").exists()
 
 
+def test_two_designs_are_refused_with_the_options_that_compare_them(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["compare", "office", "--design", "a.json", "--design", "b.json"])
+    assert "compared by --from FILE --design FILE" in capsys.readouterr().err
+
+
 def test_a_saved_result_of_another_quantity_is_refused_before_the_scene_is_rendered(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -229,6 +237,10 @@ def test_designs_are_called_by_their_folders(tmp_path: Path, capsys: pytest.Capt
             "b/design.toml is a design, not a scene: scenecaptum compare office --design b/",
         ),
         ("office --set a=1 --titles A A", "--titles must differ"),
+        (
+            "cornell-box --inputs emitters --set Walls.x=1",
+            "error: the design's 'Walls.x' matches no parameter",
+        ),
     ],
 )
 def test_what_cannot_be_compared_has_its_command(

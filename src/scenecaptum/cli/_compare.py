@@ -72,6 +72,7 @@ def add(commands: Any) -> None:
     _arguments.add_title(parser)
     _arguments.add_output(parser)
     parser.needless = {"--report": f"compare always writes its page, {REPORT} in the output folder."}
+    parser.twice = {"--design": "two designs are compared by --from FILE --design FILE"}
     parser.set_defaults(run=run)
 
 

@@ -103,10 +103,12 @@ def _kept(options: argparse.Namespace, started: float) -> str:
 class _CommandParser(argparse.ArgumentParser):
     """Reports what is wrong in one line, in words; argparse puts the usage before it, which hides it.
 
-    ``needless`` says of options of other commands why this one does not have them.
+    ``needless`` says of options of other commands why this one does not have them, and ``twice`` what to do of
+    options that are given twice.
     """
 
     needless: Mapping[str, str] = {}
+    twice: Mapping[str, str] = {}
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)

@@ -8,6 +8,8 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from ._design import designed_names
+
 # Of keywords whose options have other names.
 RENAMED = {"parameters": "-D", "objects": "--object", "metrics": "--metric"}
 OF_COMMANDS = re.compile(r"(?:^|\s)--?[A-Za-z]")
@@ -40,6 +42,8 @@ def in_options(message: str, options: argparse.Namespace) -> str:
         return f"{option} {value}" if VALUE.match(value) else f"{option}{value}"
 
     message = IN_PYTHON.sub("", message)
+    for name in designed_names(options):  # which become inputs
+        message = message.replace(f"inputs={name!r}", f"the design's {name!r}")
     return message if OF_COMMANDS.search(message) else KEYWORD.sub(written, message)
 
 

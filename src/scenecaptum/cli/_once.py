@@ -26,9 +26,8 @@ class Once(argparse.Action):
         if self.dest in given:
             first = getattr(namespace, self.dest)
             command = parser.prog.rpartition(" ")[2]
-            parser.error(
-                f"{command} takes one {option_string}, not both {first} and {values}: run it once for each"
-            )
+            advice = getattr(parser, "twice", {}).get(option_string, "run it once for each")
+            parser.error(f"{command} takes one {option_string}, not both {first} and {values}: {advice}")
         given.add(self.dest)
         setattr(namespace, self.dest, values)
 
