@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from ..errors import SceneCaptumError
 from ._design import designed_names
 
 # Of keywords whose options have other names.
@@ -42,9 +43,16 @@ def in_options(message: str, options: argparse.Namespace) -> str:
         return f"{option} {value}" if VALUE.match(value) else f"{option}{value}"
 
     message = IN_PYTHON.sub("", message)
-    for name in designed_names(options):  # which become inputs
+    for name in _designed(options):  # which become inputs
         message = message.replace(f"inputs={name!r}", f"the design's {name!r}")
     return message if OF_COMMANDS.search(message) else KEYWORD.sub(written, message)
+
+
+def _designed(options: argparse.Namespace) -> list[str]:
+    try:
+        return designed_names(options)
+    except SceneCaptumError:  # the message is about the design itself
+        return []
 
 
 @contextmanager
