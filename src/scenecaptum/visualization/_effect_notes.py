@@ -57,7 +57,7 @@ def light_notes(
     return [
         advised(
             f"of a light, to first order: {metric_symbol(attribution)} is not linear in the light, and may change "
-            "by much more or less if one is switched off",
+            "by much more or less, or in the other direction, if one is switched off",
             'for that, use an ablation with groups="object" (--method ablation --groups object)',
         )
     ]
