@@ -48,6 +48,31 @@ class Sliding:
         return {name: torch.zeros(len(seeds), 3) for name in names}
 
 
+class Turning(Sliding):
+    """The same, as a camera that turns: its gradients at the value are compared with those over the range."""
+
+    def step_changes(self, *_: object, **__: object) -> dict[str, torch.Tensor]:
+        return {}
+
+    def range_changes(
+        self,
+        values: Mapping[str, torch.Tensor],
+        directions: Mapping[str, torch.Tensor],
+        adjoint: torch.Tensor,
+        *,
+        seeds: Sequence[int],
+        spp: int,
+    ) -> dict[str, torch.Tensor]:
+        def end(name: str, sign: int, seed: int) -> torch.Tensor:
+            point = {**values, name: values[name] + sign * HALF * directions[name]}
+            return (adjoint * self(point, seed=seed, spp=spp)).sum()
+
+        return {
+            name: torch.stack([end(name, 1, seed) - end(name, -1, seed) for seed in seeds]) / (2 * HALF)
+            for name in directions
+        }
+
+
 def fourth(image: torch.Tensor) -> torch.Tensor:
     """Return what grows from 0 to 16 where the light does from 0 to 2, and to first order by 8."""
     return image.square().square().mean()
@@ -64,8 +89,9 @@ def test_the_error_covers_a_change_that_is_not_clear_of_noise():
         assert found.info["nonlinear"] or abs(row.effect - TRUTH) < 2 * row.effect_error
 
 
-def test_a_large_change_that_is_clear_of_noise_is_marked():
-    found = attribute(Sliding(0.01), fourth, shifted())
+@pytest.mark.parametrize("kind", [Sliding, Turning])
+def test_a_large_change_that_is_clear_of_noise_is_marked(kind):
+    found = attribute(kind(0.01), fourth, shifted())
     (row,) = found.ranking()
     assert row.effect == pytest.approx(TRUTH / 2, rel=0.03)
     assert row.effect_error < 0.1
@@ -77,10 +103,11 @@ def test_a_large_change_that_is_clear_of_noise_is_marked():
     assert (found - other).info["nonlinear"] == (other - found).info["nonlinear"] == [row.name]
 
 
-def test_a_metric_that_is_linear_over_the_range_has_no_mark_and_no_larger_error():
+@pytest.mark.parametrize("kind", [Sliding, Turning])
+def test_a_metric_that_is_linear_over_the_range_has_no_mark_and_no_larger_error(kind):
     for seed in SEEDS:
-        (row,) = attribute(Sliding(0.1), torch.mean, shifted(seed)).ranking()
-        nearly = attribute(Sliding(0.1), lambda image: (image + 1e-3 * image**2).mean(), shifted(seed))
+        (row,) = attribute(kind(0.1), torch.mean, shifted(seed)).ranking()
+        nearly = attribute(kind(0.1), lambda image: (image + 1e-3 * image**2).mean(), shifted(seed))
         assert not nearly.info["nonlinear"]
         assert nearly.ranking()[0].effect_error < 1.1 * row.effect_error
 

@@ -65,21 +65,23 @@ def test_noise_over_the_range_is_not_called_a_change(poses):
     renderer, names = noisy(normal, poses), [f"{number}" for number in range(poses)]
     gradients = {name: torch.full((3,), 1e-3) for name in names}
     errors = {name: torch.full((3,), 1e-3) for name in names}
+    samples = dict.fromkeys(names, 64.0)
     alarms = sum(
-        bool(
-            local_poses(
-                renderer,
-                gradients,
-                errors,
-                gradients,
-                ADJOINT,
-                dict.fromkeys(names, 64.0),
-                shifted(seed),
-            )
-        )
+        bool(local_poses(renderer, gradients, errors, gradients, ADJOINT, samples, shifted(seed)).marked)
         for seed in range(RUNS)
     )
     assert alarms / RUNS <= 0.01 + binomial_margin(0.01, RUNS)
+
+
+def test_a_gradient_that_is_lost_in_its_noise_has_an_error_that_reaches_its_mean_over_the_range():
+    """Nearly three of its errors are too few for a mark: what is left must be in the error."""
+    over_range = Moved(lambda _: {"turn": 0.3 + 1e-3 * torch.randn(8, 3)})
+    gradient, error = {"turn": torch.tensor(-9.0)}, {"turn": torch.tensor(3.2)}
+    found = local_poses(over_range, gradient, error, gradient, ADJOINT, {"turn": 64.0}, shifted(0))
+    assert not found.marked
+    # Along the gradient, which is below 0, the renders gain 0.3 where it says 9.
+    assert found.errors["turn"].hypot(error["turn"]) == pytest.approx(9 - 0.3, rel=1e-2)
+    assert found.errors["turn"] < 0
 
 
 @pytest.mark.parametrize("poses", [1, 20])

@@ -22,9 +22,9 @@ from ..visualization import DEFAULT_TOP
 from ._data import AttributionData, Ranked, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
-from ._nonlinear_poses import NonlinearPoses, nonlinear_poses
+from ._nonlinear_poses import nonlinear_poses
 from ._ranges import extents, lights, unit_ranges
-from ._steps import StepErrors, local_poses, step_errors
+from ._steps import RangeErrors, StepErrors, local_poses, step_errors
 from ._storage import read_file, write_file
 from ._trust import median_of_means, untrusted_errors
 
@@ -322,7 +322,7 @@ def make_attribution(
     bias = (
         None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
-    steps, local, nonlinear = StepErrors(), list[str](), NonlinearPoses()
+    steps, local, nonlinear = StepErrors(), RangeErrors(), RangeErrors()
     are_gradients = info.get("quantity") in (ResultKind.GRADIENT, ResultKind.MEAN_GRADIENT)
     if has_errors and bias is not None and info.get("spp") and are_gradients:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
@@ -333,8 +333,9 @@ def make_attribution(
         bias |= {n: bias[n].hypot(error) for n, error in steps.truncation.items()}
         errors = {name: _error(gradients, name, bias[name]) for name in mean}
         local = local_poses(renderer, mean, errors, values, adjoint, samples, info["seed"])
+        is_at_values = info["quantity"] == ResultKind.GRADIENT  # not a mean over other scenes
         # Of a smoothed metric, with hundreds of draws for each value, this would take longer than the rest.
-        if not (adjoints.is_linear or metric.is_smoothed) and info["quantity"] == ResultKind.GRADIENT:
+        if is_at_values and not (adjoints.is_linear or metric.is_smoothed):
             nonlinear = nonlinear_poses(
                 renderer,
                 metric,
@@ -344,11 +345,13 @@ def make_attribution(
                 gradients=mean,
                 errors=errors,
                 steps=steps,
+                local=local,
                 samples=samples,
                 seed=info["seed"],
             )
-            # Of the sign of the gradient: an error along its direction, of which no part cancels another.
-            bias |= {n: bias[n].hypot(error).copysign(error) for n, error in nonlinear.errors.items()}
+        # Of the sign of the gradient: an error along its direction, of which no part cancels another.
+        for over_range in (local, nonlinear) if is_at_values else ():
+            bias |= {n: bias[n].hypot(error).copysign(error) for n, error in over_range.errors.items()}
     lights_off, lights_on = lights(renderer, values)
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
@@ -373,7 +376,7 @@ def make_attribution(
             "metric_bias": adjoints.bias,
             "seen_through": seen_through(renderer, surfaces, names, values),
             "jumps": steps.jumps,
-            "local": local,
+            "local": local.marked,
             "nonlinear": nonlinear.marked,
             "unit_ranges": unit_ranges(renderer, values),
             "lights_off": lights_off,

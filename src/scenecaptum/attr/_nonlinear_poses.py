@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 
 from ..estimation import Stream, TargetedMetric, derived_seeds, render_images, student_t
 from ..protocols import Capabilities, Renderer
-from ._steps import FALSE_ALARMS, LARGEST_CHANGE, StepErrors
+from ._steps import FALSE_ALARMS, LARGEST_CHANGE, RangeErrors, StepErrors
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -19,22 +19,6 @@ REPLICATES = 16
 PARTS = (1 / 4, 1 / 2)
 SUSPICIOUS = LARGEST_CHANGE / 2
 UNCLEAR = 2.0  # standard errors, below which neither the effect nor its direction is known
-
-
-@dataclass(frozen=True)
-class NonlinearPoses:
-    """The poses whose effect is not the change of the metric between the ends of their ranges.
-
-    Attributes
-    ----------
-    marked
-        The poses of which the difference is large and clear of noise.
-    errors
-        By how much the gradients of other poses, each in its own direction, may differ from that change per unit.
-    """
-
-    marked: list[str] = field(default_factory=list)
-    errors: dict[str, torch.Tensor] = field(default_factory=dict)
 
 
 def nonlinear_poses(  # noqa: PLR0913 -- those of the result
@@ -47,21 +31,22 @@ def nonlinear_poses(  # noqa: PLR0913 -- those of the result
     gradients: Tensors,
     errors: Tensors,
     steps: StepErrors,
+    local: RangeErrors,
     samples: Mapping[str, float],
     seed: int,
-) -> NonlinearPoses:
+) -> RangeErrors:
     """Compare the gradients of poses with the change of the metric between the ends of their ranges.
 
-    A gradient of a pose is a difference of images over the whole range, but to first order in these. A pixel at
-    the edge of an object may become much brighter or darker, and a rating of glare depends on the square of its
-    luminance. The metric is evaluated at the ``image`` of the result plus the differences to the images at both
-    ends, which are rendered with common random numbers. ``adjoints`` are those of the replicates of the result,
-    ``steps`` the errors of the steps of the poses that have any, and ``samples`` the samples per pixel behind the
-    gradients.
+    A gradient of a pose is a difference of images over the whole range, or was compared with one, but to first
+    order in these. A pixel at the edge of an object may become much brighter or darker, and a rating of glare
+    depends on the square of its luminance. The metric is evaluated at the ``image`` of the result plus the
+    differences to the images at both ends, which are rendered with common random numbers. ``adjoints`` are those
+    of the replicates of the result, ``steps`` the errors of the steps of the poses that have any, ``local`` those
+    over the ranges of the others, and ``samples`` the samples per pixel behind the gradients.
     """
-    found, poses = NonlinearPoses(), {}
+    found, poses = RangeErrors(), {}
     ranges = Capabilities(renderer).ranges or {}
-    for name in [name for name in steps.truncation if name in ranges]:
+    for name in [name for name in (*steps.truncation, *local.errors) if name in ranges]:
         gradient = gradients[name].double()
         gradient = gradient * torch.tensor(steps.kept_directions.get(name, 1.0)).to(gradient)
         length = gradient.norm()

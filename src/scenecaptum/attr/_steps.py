@@ -47,6 +47,22 @@ class StepErrors:
     left_out_directions: dict[str, str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class RangeErrors:
+    """By how much the gradients of poses differ from the changes over their ranges.
+
+    Attributes
+    ----------
+    marked
+        The poses of which the difference is large and clear of noise.
+    errors
+        The differences per unit of other poses, each along its own gradient.
+    """
+
+    marked: list[str] = field(default_factory=list)
+    errors: dict[str, torch.Tensor] = field(default_factory=dict)
+
+
 def step_errors(
     renderer: Renderer,
     gradients: Tensors,
@@ -103,20 +119,20 @@ def local_poses(
     adjoint: torch.Tensor,
     samples: Mapping[str, float],
     seed: int,
-) -> list[str]:
-    """Return the poses whose gradient, exact at its value, is not that over their range.
+) -> RangeErrors:
+    """Compare the gradients of poses that are exact at their values with those over their ranges.
 
     Turning a camera moves the picture by several pixels over the range. Where the metric looks at edges, as a
     rating of glare does, or a network, the first fraction of a pixel does not say what the others do.
     """
+    found = RangeErrors()
     measure = Capabilities(renderer).range_changes
     lengths = {name: gradient.double().norm() for name, gradient in gradients.items() if name in samples}
     directions = {name: gradients[name].double() / length for name, length in lengths.items() if length > 0}
     if measure is None or not directions:
-        return []
+        return found
     spp = max(1, math.ceil(max(samples[name] for name in directions) / (REPLICATES * DIFFERENCE_SPP_DIVISOR)))
     seeds = derived_seeds(seed, Stream.RANGE_CHANGES, REPLICATES)
-    found = []
     measured = measure(values, directions, adjoint, seeds=seeds, spp=spp)
     significant = _significant(len(measured))
     for name, rows in measured.items():
@@ -125,7 +141,10 @@ def local_poses(
         error = torch.hypot(noise, (errors[name].double() * directions[name]).norm())
         larger = torch.maximum(lengths[name], mean.abs())
         if change > significant * error and change > LARGEST_CHANGE * larger:
-            found.append(name)
+            found.marked.append(name)
+        else:
+            beyond_noise = (change.square() - error.square()).clamp_min(0).sqrt()
+            found.errors[name] = (beyond_noise * directions[name]).to(gradients[name])
     return found
 
 
