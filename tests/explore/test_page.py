@@ -288,6 +288,16 @@ def test_a_slider_that_leads_for_another_metric_and_a_relaxed_rating_say_so(brow
         values = window.all("value")
         assert values.nth(0).inner_text().endswith(" relaxed")
         assert "predictions need" in values.nth(0).locator("span").get_attribute("title")
+        assert "by the definition: " in window.text("verdict")
+        predicted = window.range("sky.emitter.radiance.value").evaluate(
+            """async (slider) => {
+                slider.value = 0.5;
+                slider.dispatchEvent(new Event("input", { bubbles: true }));
+                await new Promise(requestAnimationFrame);
+                return [...document.querySelectorAll(".explore-verdict")].map((one) => one.innerText);
+            }"""
+        )
+        assert predicted == ["class unknown: not yet rendered", ""]
         assert "relaxed" not in values.nth(1).inner_text()
         window.page.get_by_label("constant").check(force=True)
         wait_for(lambda: "leads for unified glare rating" in sky.inner_text())

@@ -368,7 +368,7 @@ def _meaning(metric: TargetedMetric, value: float, error: float, images: torch.T
 
 
 def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:
-    """Return title, unit, abbreviation and classes of a metric as plain values."""
+    """Return title, unit and abbreviation of a metric, and whether it has classes, as plain values."""
     measure = metric.measure
     if not isinstance(measure, Measure):
         return {
@@ -376,8 +376,12 @@ def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:
             "unit": "",
             "changeUnit": "",
             "symbol": None,
-            "bands": [],
-            "above": "",
+            "hasClasses": False,
         }
-    kept = {key: getattr(measure, key) for key in ("unit", "symbol", "bands", "above")}
-    return {"title": measure.name, "changeUnit": unit_of_change(measure.unit), **kept}
+    return {
+        "title": measure.name,
+        "unit": measure.unit,
+        "changeUnit": unit_of_change(measure.unit),
+        "symbol": measure.symbol,
+        "hasClasses": bool(measure.bands),
+    }

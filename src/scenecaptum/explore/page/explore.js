@@ -429,10 +429,8 @@ class Page {
         now ? withError(now.value, now.error) + unit : "…",
         ...(relaxed ? [" ", make("span", { class: "muted", title: relaxed }, "relaxed")] : []),
       );
-      const band = now && metric.bands.find(([upper]) => now.value <= upper);
-      const ofValue = metric.bands.length && !relaxed ? (band?.[1] ?? metric.above) : "";
-      const isOpen = this.isRecorded && !isStart && metric.bands.length > 0; // a render may be in another class
-      verdict.textContent = !now ? "" : isOpen ? "class unknown: not rendered" : (now.verdict ?? ofValue);
+      const unknown = `class unknown: not ${this.isRecorded ? "" : "yet "}rendered`; // it may be in another class
+      verdict.textContent = now ? (now.verdict ?? (metric.hasClasses ? unknown : "")) : "";
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${metric.changeUnit && ` ${metric.changeUnit}`} ${how}` : "";
