@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import functools
 import json
+import math
 import os
 import shlex
 import signal
@@ -25,11 +26,12 @@ from bitmaps import read_bitmap, write_bitmap
 from PIL import Image
 
 from scenecaptum import SceneAttribution, SceneRenderer, VanillaSceneGradient, cli, metrics
-from scenecaptum.cli import _compared_effects, _demo, _explore, _main, _optimize
+from scenecaptum.cli import _compared_effects, _demo, _explore, _main, _optimize, _tradeoff
 from scenecaptum.cli._messages import in_options
 from scenecaptum.denoising import denoise
 from scenecaptum.designs import design_of, read_design, settings_of
 from scenecaptum.optimize import Optimization
+from scenecaptum.tradeoff import Tradeoff
 
 VIEW = "--resolution 16x16 --spp 16 --max-depth 3 --seed 1"
 FILE_WALL = "wall_shape.bsdf.reflectance.value"
@@ -207,7 +209,8 @@ CASES: dict[str, Case] = {
         ["comparison.html"],
     ),
     "optimize": (
-        f"optimize {SCENE} --metric luminance --below 25 --top 2 --change 0.9 --steps 20 --no-progress --out out",
+        f"optimize {SCENE} --metric luminance --below 25 --top 2 --change 0.9 --steps 20 "
+        f"--set {WALL}=0.5 --design design.json --no-progress --out out",
         0,
         ["changed", "below the goal of 25 cd/m²", "design.json"],
         ["design.json", "optimization.png"],
@@ -225,7 +228,8 @@ CASES: dict[str, Case] = {
         [],
     ),
     "validate": (
-        f"validate {SCENE} --metric luminance --top 2 --no-progress --out out",
+        f"validate {SCENE} --metric luminance --top 2 --set {WALL}=0.5 --design design.json --no-progress "
+        "--out out",
         0,
         ["Confirmed", "validation.json"],
         ["validation.csv", "validation.json", "validation.png"],
@@ -250,7 +254,7 @@ CASES: dict[str, Case] = {
     ),
     "tradeoff": (
         f"tradeoff {SCENE} --metric luminance --vary spp=8,32 --reference-spp 64 --runs 2 --tolerance 0.5 "
-        "--no-progress --out out",
+        f"--set {WALL}=0.5 --design design.json --no-progress --out out",
         0,
         ["For an error of 50 %"],
         ["tradeoff.csv", "tradeoff.png"],
@@ -663,6 +667,39 @@ def test_a_design_sets_what_is_not_among_the_inputs(folder: Path, capsys: pytest
     np.testing.assert_allclose(after, 0.5 * own, rtol=1e-6)
     assert cli.main(shlex.split(f"attribute {view} --set left_wal.reflectance.value=0.5 --out out")) == 2
     assert "left_wall.reflectance.value" in capsys.readouterr().err
+
+
+def test_a_search_a_check_and_a_tradeoff_start_from_the_design(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp = "light.emitter.radiance.value"
+    view, dimmed = f"cornell-box {VIEW} --inputs all --metric luminance", f"--set {lamp}*=0.5"
+
+    def printed(command: str) -> dict[str, Any]:
+        cli.main(shlex.split(f"{command} --json --out out"))
+        found: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return found
+
+    metric = printed(f"attribute {view} {dimmed}")["metric"]
+    before = printed(f"optimize {view} {dimmed} --below 1000")["before"]
+    error = math.hypot(metric["standard_error"], before["standard_error"])
+    assert before["value"] == pytest.approx(metric["value"], abs=4 * error)
+    # Half the light is half the slope of a surface, of the same paths.
+    own, half = (printed(f"validate {view} --top 4 {more}")["parameters"] for more in ("", dimmed))
+    slopes = {row["name"]: row["predicted"] for row in own if row["name"] != lamp}
+    for row in half:
+        if row["name"] in slopes:
+            assert row["predicted"] == pytest.approx(slopes[row["name"]] / 2, rel=1e-3)
+    given: list[dict[str, torch.Tensor]] = []
+
+    @functools.wraps(_tradeoff.measure)
+    def measure(*arguments: Any, **more: Any) -> Tradeoff:
+        given.append(more["inputs"])
+        return _tradeoff.measure.__wrapped__(*arguments, **more)
+
+    monkeypatch.setattr(_tradeoff, "measure", measure)
+    printed(f"tradeoff {view} {dimmed} --vary spp=8 --reference-spp 64 --runs 2")
+    torch.testing.assert_close(given[0][lamp], SceneRenderer("cornell-box", lamp).inputs[lamp] / 2)
 
 
 def test_set_takes_precedence_over_the_design(folder: Path) -> None:

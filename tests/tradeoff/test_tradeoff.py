@@ -230,6 +230,19 @@ def test_rankings_converge_to_that_of_the_reference():
         assert getattr(few, name).value < getattr(many, name).value == 1, name
 
 
+def test_gradients_are_compared_at_the_values_that_are_given():
+    taken = []
+
+    class Recorded(Bounces):
+        def __call__(self, inputs, **more):
+            taken.append({name: value.item() for name, value in inputs.items()})
+            return super().__call__(inputs, **more)
+
+    changed = {**Recorded().inputs, "p3": torch.tensor(7.0)}
+    measure(Recorded(), torch.mean, inputs=changed, vary={"spp": [4]}, reference_spp=64, runs=2)
+    assert {tuple(values.items()) for values in taken} == {tuple((n, v.item()) for n, v in changed.items())}
+
+
 # ------------------------------------------------------------------------------------------------ renderers
 
 

@@ -52,6 +52,15 @@ def brighter(renderer: Lit) -> dict[str, torch.Tensor]:
     return {**renderer.inputs, "light": torch.tensor(BRIGHT), "floor": torch.tensor(0.6)}
 
 
+def test_the_values_to_test_may_be_given_with_a_texture(renderer, brighter):
+    changed = {**brighter, "texture": renderer.inputs["texture"] / 2}
+    test = ablation_test(renderer, torch.mean, inputs=changed)
+    assert test.is_confirmed
+    floor = next(row for row in test.rows if row.name == "floor")
+    expected = BRIGHT * 2 * 0.6 * renderer.matrix.mean((0, 1, 2))[1]
+    assert floor.predicted == pytest.approx(expected.item(), rel=1e-4)
+
+
 def test_gradients_are_checked_where_they_were_computed(renderer, brighter):
     gradient = VanillaSceneGradient(renderer, torch.mean).attribute(brighter)
     assert ablation_test(renderer, torch.mean, gradient).is_confirmed

@@ -15,6 +15,7 @@ from ..designs import settings_of
 from ..optimize import Optimization, minimize
 from ..rendering import SceneRenderer
 from . import _arguments
+from ._design import add_design, designed_values
 from ._files import OutputFormat, Result, figure_writer, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
 
@@ -34,6 +35,7 @@ def add(commands: Any) -> None:
     )
     _arguments.add_scene(parser)
     add_metric(parser)
+    add_design(parser)
     parser.add_argument(
         "--below", type=float, required=True, metavar="X", help="the goal, in the metric's unit"
     )
@@ -62,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
             renderer,
             create(renderer),
             options.below,
+            inputs=designed_values(options, renderer),
             target=options.target,
             top=options.top,
             change=options.change,

@@ -10,6 +10,7 @@ from typing import Any
 from ..errors import SceneCaptumError
 from ..tradeoff import KEYS, TOLERANCE, Tradeoff, measure
 from . import _arguments
+from ._design import add_design, designed_values
 from ._files import OutputFormat, figure_writer, print_files, writable, write_files
 from ._metrics import add_metric, find_metrics
 
@@ -31,6 +32,7 @@ def add(commands: Any) -> None:
     )
     _arguments.add_scene(parser)
     add_metric(parser)
+    add_design(parser)
     parser.add_argument(
         "--vary",
         action="append",
@@ -74,6 +76,7 @@ def tradeoff(options: argparse.Namespace) -> int:
             renderer,
             create(renderer),
             options.target,
+            inputs=designed_values(options, renderer),
             vary=None if options.vary is None else _merge(options.vary),
             metric_for=create,
             reference_spp=options.reference_spp,

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..validation import Ablated, AblationTest, ablation_test
 from . import _arguments
+from ._design import add_design, designed_values
 from ._files import OutputFormat, figure_writer, print_files, writable, write_files
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
@@ -30,6 +31,7 @@ def add(commands: Any) -> None:
     )
     _arguments.add_scene(parser)
     add_metric(parser, of_daylight=True)
+    add_design(parser)
     parser.add_argument(
         "--top",
         type=int,
@@ -53,6 +55,7 @@ def validate(options: argparse.Namespace) -> int:
             renderer,
             metric,
             target=options.target,
+            inputs=designed_values(options, renderer),
             top=options.top,
             seed=options.seed,
             show_progress=_arguments.shows_progress(options),

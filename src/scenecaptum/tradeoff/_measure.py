@@ -50,6 +50,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     metric: Metric,
     target: Target = None,
     *,
+    inputs: Mapping[str, torch.Tensor] | None = None,
     vary: Mapping[str, Iterable[Any]] | None = None,
     metric_for: Callable[[Any], Metric] | None = None,
     reference_spp: int | None = None,
@@ -79,6 +80,8 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     ----------
     renderer, metric, target
         As for ``VanillaSceneGradient``; the renderer must have ``spp``.
+    inputs
+        The values at which to attribute; by default the scene's own.
     vary
         Options and the values to try: ``"spp"`` (of both primal and gradient), ``"primal_spp"``,
         ``"gradient_spp"``, ``"max_depth"``, ``"resolution"``, ``"replicates"``, ``"integrator"`` (only
@@ -122,7 +125,7 @@ def measure(  # noqa: PLR0913 -- the options of every long job, and its own
     best = reference_setting([setting for _, setting in settings], spp, REFERENCE_REPLICATES)
 
     runner = SettingRunner(
-        with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise
+        with_checkpoint(renderer, checkpoint), metric_for or (lambda _: metric), target, denoise, inputs
     )
     runner.check([best, *(setting for _, setting in settings)])
     seeds = derived_seeds(seed, Stream.TRADEOFF_RUNS, 1 + runs * len(settings))
@@ -154,8 +157,9 @@ class SettingRunner:
         metric_for: Callable[[Any], Metric],
         target: Target = None,
         denoise: Denoise = "auto",
+        inputs: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
-        self._values = input_values(renderer, None)
+        self._values = input_values(renderer, inputs)
         self._renderer = renderer
         self._own = own_setting(renderer)
         self._metric_for = metric_for

@@ -80,6 +80,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
     attribution: SceneAttribution | None = None,
     target: Target = None,
     *,
+    inputs: Mapping[str, torch.Tensor] | None = None,
     top: int = 10,
     seed: int = 0,
     spp: int | None = None,
@@ -109,6 +110,8 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
         As for ``VanillaSceneGradient``; the renderer must have ``bounds``.
     attribution
         The plain gradients to test, at the values for which they were made; computed by default.
+    inputs
+        The values at which to test; by default the scene's own, or those of the attribution.
     top
         Number of parameters to test.
     seed
@@ -142,7 +145,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
     renderer = with_checkpoint(renderer, checkpoint)
     if attribution is None:
         attribution = VanillaSceneGradient(renderer, metric).attribute(
-            target=target, seed=seed, spp=spp, show_progress=show_progress
+            inputs, target=target, seed=seed, spp=spp, show_progress=show_progress
         )
     if is_plain_gradient(attribution) and attribution.info.get("spp") == 1:
         raise SceneCaptumError("ablation_test needs at least 2 samples per pixel for error bars: raise spp.")
@@ -150,7 +153,7 @@ def ablation_test(  # noqa: PLR0913 -- the options of every long job, and its ow
         raise SceneCaptumError(
             "ablation_test needs plain gradients with error bars: VanillaSceneGradient(...).attribute()."
         )
-    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates}
+    options: dict[str, Any] = {"seed": seed, "spp": spp, "replicates": replicates, "values": inputs}
     scenes = scenes_of(attribution, renderer, metric, target, **options)
     slopes, errors = attribution.saliency("unit"), attribution.saliency_error("unit") or {}
     rows = [row for row in attribution.ranking(whole_number("top", top)) if slopes[row.name] > 0]

@@ -124,19 +124,30 @@ class Scenes:
 
 
 def scenes_of(
-    attribution: SceneAttribution, renderer: Renderer, metric: Metric, target: Target, **options: Any
+    attribution: SceneAttribution,
+    renderer: Renderer,
+    metric: Metric,
+    target: Target,
+    *,
+    values: Mapping[str, torch.Tensor] | None = None,
+    **options: Any,
 ) -> Scenes:
-    """Return the scenes that check an attribution: at its values, with its metric image."""
-    values = values_of(attribution, renderer)
+    """Return the scenes that check an attribution: at its values, with its metric image.
+
+    ``values`` has the textures for which it was made, if these are not the renderer's own.
+    """
+    values = values_of(attribution, renderer, values)
     return Scenes(renderer, metric, target, **options, denoise=denoise_of(attribution), values=values)
 
 
-def values_of(attribution: SceneAttribution, renderer: Renderer) -> dict[str, torch.Tensor]:
-    """Return the inputs of the renderer with the values at which an attribution was made.
+def values_of(
+    attribution: SceneAttribution, renderer: Renderer, values: Mapping[str, torch.Tensor] | None = None
+) -> dict[str, torch.Tensor]:
+    """Return ``values``, by default the renderer's inputs, with those at which an attribution was made.
 
     Raises if these are not known: results have only the mean and a hash of a texture.
     """
-    values = input_values(renderer, None)
+    values = input_values(renderer, values)
     digests = attribution.info.get("texture_digests", {})
     for name, given in attribution.parameter_values.items():
         if name not in values:
