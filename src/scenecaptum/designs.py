@@ -93,8 +93,9 @@ def _matching(pattern: str, key: str, values: Mapping[str, Any], parameters: Map
 def settings_of(renderer: Adjustable, values: Mapping[str, torch.Tensor]) -> dict[str, Any]:
     """Return what ``design_of`` turns into these values: those that are not the scene's own, as plain numbers.
 
-    A texture that has moved as a whole is written as the change of each channel (``NAME+``), one that is brighter
-    or darker as a whole as a factor (``NAME*``), and any other with all its texels.
+    Those of parameters that are no inputs are all written. A texture that has moved as a whole is written as the
+    change of each channel (``NAME+``), one that is brighter or darker as a whole as a factor (``NAME*``), and any
+    other with all its texels.
 
     Example
     -------
@@ -104,12 +105,18 @@ def settings_of(renderer: Adjustable, values: Mapping[str, torch.Tensor]) -> dic
     {'floor.reflectance.value': [0.5, 0.25, 0.25]}
     """
     own = renderer.inputs
-    moved = {name: value.detach() for name, value in values.items() if not torch.equal(value, own[name])}
-    return dict(_setting(renderer, name, own[name], value) for name, value in moved.items())
+    moved = {
+        name: value.detach()
+        for name, value in values.items()
+        if name not in own or not torch.equal(value, own[name])
+    }
+    return dict(_setting(renderer, name, own.get(name), value) for name, value in moved.items())
 
 
-def _setting(renderer: Adjustable, name: str, own: torch.Tensor, value: torch.Tensor) -> tuple[str, Any]:
-    if value.ndim <= 1:
+def _setting(
+    renderer: Adjustable, name: str, own: torch.Tensor | None, value: torch.Tensor
+) -> tuple[str, Any]:
+    if value.ndim <= 1 or own is None:
         return name, _plain(value)
     return change_of_texture(renderer, name, own, value) or (name, _plain(value))
 

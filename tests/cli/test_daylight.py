@@ -17,6 +17,7 @@ from scenecaptum import SceneRenderer, SensorGrid, VanillaSceneGradient, cli, da
 from scenecaptum.attr import Definition, Explanation
 from scenecaptum.cli import _compared, _daylight, _plan
 from scenecaptum.cli._explain import explanation_numbers
+from scenecaptum.cli._points import coefficients_of
 from scenecaptum.daylight import PlanValues
 from scenecaptum.explanation import grid_premises
 from scenecaptum.visualization import plot_plan, rounded
@@ -185,16 +186,19 @@ def test_every_name_of_daylight_is_in_the_help(capsys: pytest.CaptureFixture[str
 
 
 def test_the_kinds_that_a_designer_chooses_are_the_inputs_of_the_command() -> None:
-    patches = daylight.SkyPatches.tregenza()
-    renderer = SceneRenderer("classroom", "all", sensor=SensorGrid(spacing=4.0), sky_patches=patches)
-    given = {"design": None, "settings": [("pane.eta", [1.6])], "inputs": None}
-    chosen = _daylight._values(renderer, argparse.Namespace(**given))
+    changes = "--set pane.eta=1.6 --set desk.base_color.value*=0.5"
+    options = cli.parser().parse_args(shlex.split(f"daylight classroom --spacing 4 --spp 1 {changes}"))
+    renderer = _daylight._renderer(options, coefficients_of("daylight-factor", options))
+    chosen = _daylight._values(renderer, options)
     assert {"pane.specular_transmittance.value", "cloth.opacity.value", "desk.base_color.value"} <= set(
         chosen
     )
-    assert chosen["pane.eta"].item() == pytest.approx(1.6), "a design may set more"
+    assert "pane.eta" not in chosen
+    assert renderer.own_value("pane.eta").item() == pytest.approx(1.6)
+    desk = "desk.base_color.value"
+    torch.testing.assert_close(chosen[desk], renderer.own_value(desk) / 2)
     assert not {name for name in chosen if "roughness" in name or "legs.eta" in name or "sky" in name}
-    everything = _daylight._values(renderer, argparse.Namespace(**{**given, "inputs": ["all"]}))
+    everything = _daylight._values(renderer, argparse.Namespace(**{**vars(options), "inputs": ["all"]}))
     assert set(everything) == set(renderer.inputs)
 
 

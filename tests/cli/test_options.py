@@ -655,10 +655,15 @@ def test_a_design_sets_what_is_not_among_the_inputs(folder: Path, capsys: pytest
     lamp = "light.emitter.radiance.value"
     view = f"cornell-box {VIEW} --inputs emitters"
     assert cli.main(shlex.split(f"attribute {view} --design design.json --format npz --out designed")) == 0
-    values = SceneAttribution.load(folder / "designed" / "attribution.npz").parameter_values
-    torch.testing.assert_close(values[WALL], torch.tensor([0.3, 0.2, 0.1]))
-    assert lamp in values
+    found = SceneAttribution.load(folder / "designed" / "attribution.npz")
+    np.testing.assert_allclose(found.info["values"][WALL], [0.3, 0.2, 0.1], rtol=1e-6)
+    assert set(found) == {lamp}
+    assert cli.main(shlex.split(f"attribute {view} --set {WALL}=0.5 --format npz --out other")) == 0
     capsys.readouterr()
+    saved = "designed/attribution.npz other/attribution.npz"
+    assert cli.main(shlex.split(f"compare {saved} --json --out out")) == 0
+    both = json.loads(capsys.readouterr().out)["values"]
+    np.testing.assert_allclose(both[WALL], [[0.3, 0.2, 0.1], [0.5] * 3], rtol=1e-6)
     changes = f"--from design.json --set {WALL}*=0.5 --set *.radiance.value*=0.5"
     assert cli.main(shlex.split(f"compare {view} --metric luminance {changes} --json --out out")) == 0
     before, after = json.loads(capsys.readouterr().out)["values"][WALL]
@@ -700,6 +705,60 @@ def test_a_search_a_check_and_a_tradeoff_start_from_the_design(
     monkeypatch.setattr(_tradeoff, "measure", measure)
     printed(f"tradeoff {view} {dimmed} --vary spp=8 --reference-spp 64 --runs 2")
     torch.testing.assert_close(given[0][lamp], SceneRenderer("cornell-box", lamp).inputs[lamp] / 2)
+
+
+def test_a_design_stays_fixed_unless_the_inputs_select_it(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    placed = {"camera.pose.translation": [0.1, 0.0, 0.0], WALL: [0.3, 0.2, 0.1]}
+    (folder / "placed.json").write_text(json.dumps(placed))
+    lamp, view = "light.emitter.radiance.value", f"cornell-box {VIEW} --metric luminance"
+    design = f"--design placed.json --set {lamp}*=0.5"
+
+    def printed(command: str) -> dict[str, Any]:
+        cli.main(shlex.split(f"{command} --json --out out"))
+        found: dict[str, Any] = json.loads(capsys.readouterr().out)
+        return found
+
+    everything = SceneRenderer("cornell-box", ["all", "camera"], resolution=(16, 16), spp=16, max_depth=3)
+    values = design_of(everything, {**placed, f"{lamp}*": 0.5})
+    expected = VanillaSceneGradient(everything, metrics.MeanLuminance()).attribute(
+        {
+            lamp: values[lamp],
+            WALL: values[WALL],
+            "camera.pose.translation": values["camera.pose.translation"],
+        },
+        seed=1,
+    )
+    for inputs, names in (
+        (f"--inputs {lamp}", {lamp}),
+        ("", set(SceneRenderer("cornell-box", "all").inputs)),
+    ):
+        printed(f"attribute {view} {inputs} {design} --format npz")
+        found = SceneAttribution.load(folder / "out" / "attribution.npz")
+        assert set(found) == names
+        assert found.metric_value == pytest.approx(expected.metric_value, rel=1e-5)
+        torch.testing.assert_close(found.parameter_values[lamp], values[lamp])
+        explained = printed(f"explain {view} {inputs} {design} --changes 3")
+        assert {one["name"] for one in explained["effects"]} == names
+        assert {one["name"] for one in explained["changes"]} <= names
+        compared = printed(f"compare {view} {inputs} {design}")
+        assert set(compared["values"]) == {*placed, lamp}
+        assert {one["name"] for one in compared["effects"]} == names
+        assert compared["results"][1]["value"] == pytest.approx(found.metric_value, rel=1e-5)
+    printed(f"attribute {view} --inputs camera {design} --format npz")
+    found = SceneAttribution.load(folder / "out" / "attribution.npz")
+    torch.testing.assert_close(
+        found.parameter_values["camera.pose.translation"], values["camera.pose.translation"]
+    )
+    assert found.metric_value == pytest.approx(expected.metric_value, rel=1e-5)
+    reached = printed(f"optimize {view} --inputs {lamp} {design} --below 8 --steps 20")
+    for name, value in placed.items():
+        np.testing.assert_allclose(reached["design"][name], value, rtol=1e-6)
+    assert json.loads((folder / "out" / "design.json").read_text()) == reached["design"]
+    again = printed(f"attribute {view} --inputs {lamp} --design out/design.json")["metric"]
+    error = math.hypot(again["standard_error"], reached["after"]["standard_error"])
+    assert again["value"] == pytest.approx(reached["after"]["value"], abs=4 * error)
 
 
 def test_set_takes_precedence_over_the_design(folder: Path) -> None:

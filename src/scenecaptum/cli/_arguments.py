@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import inspect
 import sys
 import warnings
@@ -10,10 +11,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from .. import daylight
 from ..rendering import SceneRenderer, named_sensors
 from ..scene import BUNDLED
-from ._design import designed_names
+from ._design import design_settings, fixed_values
 from ._once import Once, named_once
 from ._points import Coefficients, chosen_sensor
 
@@ -169,14 +172,22 @@ def shows_progress(options: argparse.Namespace) -> bool:
 
 
 def selection(options: argparse.Namespace) -> list[str]:
-    """Return the parameters to differentiate, with those that only the design names."""
-    return [*(getattr(options, "inputs", None) or ["all"]), *designed_names(options)]
+    """Return the parameters to differentiate."""
+    return getattr(options, "inputs", None) or ["all"]
 
 
-def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None = None) -> SceneRenderer:
-    """Create the renderer from the arguments; that of daylight coefficients, if a metric needs these."""
+def make_renderer(
+    options: argparse.Namespace,
+    coefficients: Coefficients | None = None,
+    fixed: Mapping[str, torch.Tensor] | None = None,
+) -> SceneRenderer:
+    """Create the renderer from the arguments; that of daylight coefficients, if a metric needs these.
+
+    The scene has the fixed values, by default those that the design sets beside the inputs.
+    """
     default_depth = MAX_DEPTH if coefficients is None else daylight.DEPTH
-    renderer = SceneRenderer(
+    create = functools.partial(
+        SceneRenderer,
         options.scene,
         selection(options),
         objects=named_once(options.objects, "--object") or None,
@@ -188,6 +199,9 @@ def make_renderer(options: argparse.Namespace, coefficients: Coefficients | None
         sky_patches=None if coefficients is None else coefficients.patches,
         direct_sky=coefficients is not None and coefficients.direct,
     )
+    renderer = create(values=fixed)
+    if fixed is None and (fixed := fixed_values(options, renderer, design_settings(options))):
+        renderer = create(values=fixed)
     if options.max_depth is None and coefficients is None:
         _say_depth(renderer)
     return renderer.with_checkpoint(getattr(options, "checkpoint", None))

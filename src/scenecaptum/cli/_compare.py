@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient
-from ..designs import design_of, read_design
+from ..attr import SceneAttribution, VanillaSceneGradient, summarize
+from ..designs import read_design
 from ..errors import SceneCaptumError
 from ..estimation import Metric, TargetedMetric, at_values, difference_by_definition
 from ..explanation import (
@@ -30,7 +31,7 @@ from ..visualization import method_name, metric_name, share_scale
 from . import _arguments
 from ._compared import Compared, Side, lines, numbers
 from ._compared_effects import with_contradictions
-from ._design import add_design, designed_values
+from ._design import add_design, design_settings, fixed_values, whole_design
 from ._files import print_files, writable
 from ._messages import warnings_after_checks
 from ._metrics import add_metric, find_metrics
@@ -82,6 +83,14 @@ class Result(NamedTuple):
     attribution: SceneAttribution
     renderer: SceneRenderer | None = None
     metric: Metric | None = None
+
+
+class Designed(NamedTuple):
+    """The result of a design, with its renderer and its metric."""
+
+    attribution: SceneAttribution
+    renderer: SceneRenderer
+    metric: Metric
 
 
 def run(options: argparse.Namespace) -> int:
@@ -137,42 +146,67 @@ def _refuse_designs(options: argparse.Namespace) -> None:
 
 
 def _compare_designs(options: argparse.Namespace) -> Compared:
-    renderer, metric = _renderer_and_metric(options, options.scene)
-    origin = None if options.origin is None else design_of(renderer, read_design(options.origin))
-    design = designed_values(options, renderer)
-    method, progress = VanillaSceneGradient(renderer, metric), _arguments.shows_progress(options)
+    renderer, metric = _renderer_and_metric(options, options.scene, {})
+    of_origin = {} if options.origin is None else read_design(options.origin)
+    origin, design = (
+        whole_design(options, renderer, settings) for settings in (of_origin, design_settings(options))
+    )
     # The design first: a value of it that is refused costs no time.
     after, before = (
-        with_settings(
-            method.attribute(values, target=options.target, seed=options.seed, show_progress=progress),
-            renderer,
-            options,
-        )
-        for values in (design, origin)
+        _attributed_at(values, renderer, metric, fixed_values(options, renderer, settings), options)
+        for values, settings in ((design, design_settings(options)), (origin, of_origin))
     )
-    scenes = renders_like(before, renderer, metric, options, origin)
+    scenes = renders_like(before.attribution, renderer, before.metric, options, origin)
     titles = options.titles or _design_titles(
         options.origin, options.design, is_changed=bool(options.settings)
     )
-    images = scenes.render(design or {})
-    change = scenes.difference(images, design or {})
-    rated = scenes.metric, at_values(scenes.metric, renderer, {**scenes.values, **(design or {})})
+    images = scenes.render(design)
+    # That of B knows where B's camera is.
+    transform = at_values(scenes.metric, renderer, design).transform
+    rated = scenes.metric, TargetedMetric(after.metric, options.target).with_transform(transform)
+    change = scenes.difference_to(images, rated[1])
     both = list(zip(rated, (scenes.images, images), strict=True))
     stated = any(states_definition(one, pictures.mean(0)) for one, pictures in both)
     sides = [
-        _side(Result(one, renderer, metric), of_definition if stated else None, options)
+        _side(one, of_definition if stated else None, options)
         for one, of_definition in zip((before, after), both, strict=True)
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
     if exact is None:
         measured = MEASURED.format(
-            _remaining(change[1], [one.metric_standard_error for one in (before, after)])
+            _remaining(change[1], [one.attribution.metric_standard_error for one in (before, after)])
         )
     else:
         values = [side.definition for side in sides if side.definition is not None]
         measured = BY_DEFINITION.format(_remaining(exact[1], [one.error for one in values]))
-    before, after = with_contradictions(before, after, change)
-    return Compared(before, after, titles, *change, sides, measured, exact)
+    results = with_contradictions(before.attribution, after.attribution, change)
+    return Compared(*results, titles, *change, sides, measured, exact)
+
+
+def _attributed_at(
+    values: Mapping[str, torch.Tensor],
+    renderer: SceneRenderer,
+    metric: Metric,
+    fixed: Mapping[str, torch.Tensor],
+    options: argparse.Namespace,
+) -> Designed:
+    """Return the result of a design, whose values beside the inputs are fixed; it has these values, too."""
+    if fixed:
+        renderer, metric = _renderer_and_metric(options, options.scene, fixed)
+    inputs = renderer.inputs
+    result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
+        {name: values[name] for name in inputs},
+        target=options.target,
+        seed=options.seed,
+        show_progress=_arguments.shows_progress(options),
+    )
+    beside = {name: value for name, value in values.items() if name not in inputs}
+    result = dataclasses.replace(
+        with_settings(result, renderer, options),
+        parameter_values={**result.parameter_values, **summarize(beside)},
+        labels={**result.labels, **{name: renderer.parameters[name].label for name in beside}},
+    )
+    return Designed(result, renderer, metric)
 
 
 def _remaining(error: float | None, errors: Sequence[float | None]) -> str:
@@ -185,7 +219,9 @@ def _remaining(error: float | None, errors: Sequence[float | None]) -> str:
 
 
 def _side(
-    result: Result, of_definition: tuple[TargetedMetric, torch.Tensor] | None, options: argparse.Namespace
+    result: Result | Designed,
+    of_definition: tuple[TargetedMetric, torch.Tensor] | None,
+    options: argparse.Namespace,
 ) -> Side:
     """Return what belongs to a result; of the metric and the renders by which its definition is stated, if it is.
 
@@ -258,11 +294,12 @@ def _loaded(given: str, *, is_beside_a_scene: bool) -> Result:
             f"computes the {ResultKind.GRADIENT.value}: save a result of the scene by the same method with "
             "attribute, and compare both files."
         )
-    return Result(loaded)
+    fixed = {name: torch.tensor(value) for name, value in loaded.info.get("values", {}).items()}
+    return Result(dataclasses.replace(loaded, parameter_values={**loaded.parameter_values, **fixed}))
 
 
 def _attributed(options: argparse.Namespace, scene: str) -> Result:
-    renderer, metric = _renderer_and_metric(options, scene)
+    renderer, metric = _renderer_and_metric(options, scene, {})
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
         target=options.target, seed=options.seed, show_progress=_arguments.shows_progress(options)
     )
@@ -291,12 +328,14 @@ def _for_definition(
     return [(one.metric, one.images) for one in scenes]
 
 
-def _renderer_and_metric(options: argparse.Namespace, scene: str) -> tuple[SceneRenderer, Metric]:
+def _renderer_and_metric(
+    options: argparse.Namespace, scene: str, fixed: Mapping[str, torch.Tensor]
+) -> tuple[SceneRenderer, Metric]:
     (create,) = find_metrics([options.metric], options).values()
     coefficients = needed_coefficients([options.metric], options)
     with warnings_after_checks():
         renderer = _arguments.make_renderer(
-            argparse.Namespace(**{**vars(options), "scene": scene}), coefficients
+            argparse.Namespace(**{**vars(options), "scene": scene}), coefficients, fixed
         )
         check_grid(renderer)
         check_report(renderer)

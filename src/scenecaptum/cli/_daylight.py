@@ -23,7 +23,7 @@ from ._files import print_files, writable, write_files
 from ._messages import warnings_after_checks
 from ._metrics import create_of_daylight
 from ._plan import plan_of
-from ._points import add_points, check_grid, check_options, coefficients_of, read_weather
+from ._points import Coefficients, add_points, check_grid, check_options, coefficients_of, read_weather
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,9 +71,7 @@ def run(options: argparse.Namespace) -> int:
     needed = {name: coefficients_of(name, options) for name in names}
     with writable(options.out):
         with warnings_after_checks():
-            renderers = {
-                one: _arguments.make_renderer(options, one) for one in dict.fromkeys(needed.values())
-            }
+            renderers = {one: _renderer(options, one) for one in dict.fromkeys(needed.values())}
             for renderer in renderers.values():
                 check_grid(renderer)
             # All of them before the first run, which takes long.
@@ -116,15 +114,28 @@ def _explain(
     return said, plan_of(said.picture, renderer, metric, said.attribution.info)
 
 
-def _values(renderer: SceneRenderer, options: argparse.Namespace) -> Mapping[str, torch.Tensor]:
-    """Return the inputs with the values of a design: those that were selected, or that a designer chooses."""
-    own = renderer.inputs
-    values = designed_values(options, renderer) or own
-    if options.inputs:
-        return values
-    chosen = {
+def _renderer(options: argparse.Namespace, coefficients: Coefficients | None) -> SceneRenderer:
+    """Create a renderer; what the design sets and a designer does not choose is fixed in its scene."""
+    renderer = _arguments.make_renderer(options, coefficients)
+    own, chosen = renderer.inputs, _chosen(renderer, options)
+    fixed = {
         name: value
-        for name, value in values.items()
-        if renderer.parameters[name].kind in CHOICES or not torch.equal(value, own[name])
+        for name, value in (designed_values(options, renderer) or {}).items()
+        if name not in chosen and not torch.equal(value, own[name])
     }
-    return chosen or values
+    if not fixed:
+        return renderer
+    return _arguments.make_renderer(options, coefficients, {**renderer.values, **fixed})
+
+
+def _chosen(renderer: SceneRenderer, options: argparse.Namespace) -> list[str]:
+    """Return the inputs that were selected, or that a designer chooses."""
+    names = list(renderer.inputs)
+    chosen = [] if options.inputs else [one for one in names if renderer.parameters[one].kind in CHOICES]
+    return chosen or names
+
+
+def _values(renderer: SceneRenderer, options: argparse.Namespace) -> Mapping[str, torch.Tensor]:
+    """Return the chosen inputs with the values of a design."""
+    values = designed_values(options, renderer) or renderer.inputs
+    return {name: values[name] for name in _chosen(renderer, options)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 
 from ..designs import CHANGES, design_of, read_design
 from ..rendering import SceneRenderer
-from ..scene import pose_component
+from ..scene import pose_component, select
 from ._once import Once, named_once
 
 
@@ -53,11 +54,42 @@ def assignment(text: str) -> tuple[str, list[float]]:
 def designed_values(options: argparse.Namespace, renderer: SceneRenderer) -> dict[str, torch.Tensor] | None:
     """Return the renderer's inputs with the values of the design, or None without one."""
     settings = design_settings(options)
-    return design_of(renderer, settings) if settings else None
+    if not settings:
+        return None
+    values = whole_design(options, renderer, settings)
+    return {name: values[name] for name in renderer.inputs}
+
+
+def whole_design(
+    options: argparse.Namespace, renderer: SceneRenderer, settings: Mapping[str, Any]
+) -> dict[str, torch.Tensor]:
+    """Return the renderer's inputs, and what a design names beside them, with the values of the settings."""
+    return design_of(_Settable(renderer, designed_names(options)), settings)
+
+
+def fixed_values(
+    options: argparse.Namespace, renderer: SceneRenderer, settings: Mapping[str, Any]
+) -> dict[str, torch.Tensor]:
+    """Return what the settings change beside the renderer's inputs: values that stay fixed."""
+    inputs, values = renderer.inputs, whole_design(options, renderer, settings)
+    return {
+        name: value
+        for name, value in values.items()
+        if name not in inputs and not torch.equal(value, renderer.own_value(name))
+    }
+
+
+class _Settable:
+    """What a design may set: the inputs of a renderer, and other parameters by name."""
+
+    def __init__(self, renderer: SceneRenderer, names: Sequence[str]) -> None:
+        beside = select(renderer.parameters, names) if names else ()
+        self.parameters, self.clamp_ = renderer.parameters, renderer.clamp_
+        self.inputs = {**{name: renderer.own_value(name) for name in beside}, **renderer.inputs}
 
 
 def designed_names(options: argparse.Namespace) -> list[str]:
-    """Return the parameters that a design sets and that are inputs only if they are named.
+    """Return the parameters that a design may set without being inputs: it has to name them.
 
     These are the poses, and beside other ``--inputs`` all of them. Globs match what is selected.
     """

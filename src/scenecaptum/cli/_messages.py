@@ -43,7 +43,7 @@ def in_options(message: str, options: argparse.Namespace) -> str:
         return f"{option} {value}" if VALUE.match(value) else f"{option}{value}"
 
     message = IN_PYTHON.sub("", message)
-    for name in _designed(options):  # which become inputs
+    for name in _designed(options):  # which are looked up as inputs are
         message = message.replace(f"inputs={name!r}", f"the design's {name!r}")
     return message if OF_COMMANDS.search(message) else KEYWORD.sub(written, message)
 

@@ -88,11 +88,12 @@ def optimization_numbers(found: Optimization, renderer: SceneRenderer) -> dict[s
         for name, side in (("before", found.before), ("after", found.after))
     }
     numbers = {"metric": found.metric, "below": found.below, "reached": found.reached, **measured}
+    values = {**renderer.values, **found.values}
     design = {
-        name: {"file": DESIGN, "mean": plain_or_mean(found.values[name])}
-        if name in found.values and is_large(found.values[name])
+        name: {"file": DESIGN, "mean": plain_or_mean(values[name])}
+        if name in values and is_large(values[name])
         else setting
-        for name, setting in settings_of(renderer, found.values).items()
+        for name, setting in settings_of(renderer, values).items()
     }
     return {**numbers, "design": design}
 
@@ -119,7 +120,7 @@ def design_format(
     """Return the file of the values that a search has found, as ``--design`` reads them."""
 
     def write(result: Result, path: Path) -> None:
-        settings = settings_of(renderer, find(result).values)
+        settings = settings_of(renderer, {**renderer.values, **find(result).values})
         lines = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in settings.items()]
         path.write_text("{\n " + ",\n ".join(lines) + "\n}\n", encoding="utf-8")
 

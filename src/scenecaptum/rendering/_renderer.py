@@ -129,6 +129,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     direct_sky
         With ``sky_patches``: only the light that no surface reflects, as annual sunlight exposure needs. Panes,
         and cloth with an opacity, let it through.
+    values
+        Values that become the scene's own, by the name of any parameter that can be set, an input or not. What a
+        pose moves is then loaded in its new place, from which that pose is 0 again. Not for an ``mi.Scene``.
 
     Attributes
     ----------
@@ -143,6 +146,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         Default samples per pixel of a render.
     name : str
         The scene's name in results.
+    values : dict of str to Tensor
+        Those of ``values=``.
     checkpoint : Checkpoint or None
         The folder of ``with_checkpoint``; its ``reused`` and ``rendered`` count renders and backward passes.
 
@@ -167,6 +172,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         objects: Objects | None = None,
         sky_patches: SkyPatches | None = None,
         direct_sky: bool = False,
+        values: Mapping[str, torch.Tensor] | None = None,
     ) -> None:
         super().__init__()
         self._arguments: dict[str, Any] = {
@@ -181,7 +187,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             "objects": objects,
             "sky_patches": sky_patches,
             "direct_sky": direct_sky,
+            "values": values,
         }
+        self.values = dict(values or {})
         self._replaced: dict[str, Any] = {}
         variant = _variant_of(scene)
         if variant is None:
@@ -199,6 +207,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             try:
                 size = self._load(scene, parameters, sensor, resolution, spp)
                 self._find_parameters(inputs, ranges, objects)
+                if self.values:
+                    self._change_scene(self.values, size)
+                    self._find_parameters(inputs, ranges, objects)
                 self._prepare(size, self._plan_for(max_depth))
             except SceneCaptumError as error:
                 # Free the scene now: freed together with the error, it could go while another thread renders.
@@ -262,6 +273,22 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             Poses([*moving_objects(self._graph.scene, found), camera]),
         )
         self._state.enable_lobes([name for name, p in writable.items() if p.plugin.startswith("Principled")])
+
+    def _change_scene(self, values: Mapping[str, torch.Tensor], size: tuple[int, int]) -> None:
+        """Make these values the scene's own, as if it had been loaded with them."""
+        from ._live_scene import LiveScene
+
+        if self._borrowed:
+            raise SceneCaptumError(
+                "values= changes the scene, and an mi.Scene belongs to you: set its values with mi.traverse."
+            )
+        for name, value in values.items():
+            self._check_tensor(name, value)
+        self._check_values(values)
+        live = LiveScene(self._graph, self._sensors[0], self._state, size, borrowed=False)
+        with live.with_values(values):
+            pass  # the scene keeps them
+        self._graph = SceneGraph(self._graph.scene)
 
     def _plan_for(self, max_depth: int | None) -> RenderPlan:
         if max_depth is not None and max_depth != -1:
@@ -657,6 +684,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         return {
             "scene": self.name,
             **({"parameters": self._placeholders.copy()} if self._placeholders else {}),
+            **({"values": {n: _mean_of_texels(v) for n, v in self.values.items()}} if self.values else {}),
             "resolution": list(self.resolution),
             **({"sensor": sensors} if sensors else {}),
             "integrator": self.plan.integrator,
@@ -1185,6 +1213,10 @@ def _variant_of(scene: SceneLike) -> str | None:
             "scenecaptum.activate('llvm_ad_rgb'), or pass its file or dict."
         )
     return variant
+
+
+def _mean_of_texels(value: torch.Tensor) -> Any:
+    return (value.flatten(0, -2).mean(0) if value.ndim > 1 else value).tolist()
 
 
 def _seed_of_camera(seed: int, number: int) -> int:

@@ -81,32 +81,34 @@ class Scenes:
 
     def measure_in(self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return what ``measure`` does, of the pictures that ``render`` has returned for the same changes."""
-        metric = at_values(self.metric, self.renderer, {**self.values, **changes})
-        return self._pseudo_values(images, metric)
+        return self._pseudo_values(images, self._metric_at(changes))
 
     def difference(self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]) -> tuple[float, float]:
-        """Return by how much changes raise the metric, and the error, of the pictures that ``render`` returned.
+        """Return by how much changes raise the metric, and the error, of the pictures that ``render`` returned."""
+        return self.difference_to(images, self._metric_at(changes))
+
+    def difference_to(self, images: torch.Tensor, after: TargetedMetric) -> tuple[float, float]:
+        """Return by how much ``after`` of other pictures, of the same seeds, is above the metric, and the error.
 
         The error is that of half samples, because a rating may jump, and that of the denoiser.
         """
-        difference = self._difference(images, changes)
+        difference = self._difference(images, after)
         error = half_sample_error(difference, len(images))
         assert error is not None, "there are at least 2 replicates"
-        after = at_values(self.metric, self.renderer, {**self.values, **changes})
         of_denoiser = error_of_denoiser(self.metric, after, (self.images, images))
         return difference(torch.arange(len(images))), math.hypot(error, of_denoiser)
 
     def half_differences(self, changes: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """Return by how much changes raise the metric, as ``half_samples`` of the replicates."""
         images = self.render(changes)
-        return half_samples(self._difference(images, changes), len(images))
+        return half_samples(self._difference(images, self._metric_at(changes)), len(images))
 
-    def _difference(
-        self, images: torch.Tensor, changes: Mapping[str, torch.Tensor]
-    ) -> Callable[[torch.Tensor], float]:
-        """Return by how much changes raise the metric, as a function of the indices of the pictures."""
-        metric = at_values(self.metric, self.renderer, {**self.values, **changes})
-        return lambda kept: metric.value(images[kept].mean(0)) - self._unmodified_of(kept)
+    def _metric_at(self, changes: Mapping[str, torch.Tensor]) -> TargetedMetric:
+        return at_values(self.metric, self.renderer, {**self.values, **changes})
+
+    def _difference(self, images: torch.Tensor, after: TargetedMetric) -> Callable[[torch.Tensor], float]:
+        """Return by how much the metric rises, as a function of the indices of the pictures."""
+        return lambda kept: after.value(images[kept].mean(0)) - self._unmodified_of(kept)
 
     def _unmodified_of(self, kept: torch.Tensor) -> float:
         """Return the metric of the mean of some pictures of the unmodified scene, the same for all changes."""
