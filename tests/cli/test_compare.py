@@ -126,6 +126,23 @@ def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(
     assert "different settings" not in printed
 
 
+def test_a_light_that_is_off_has_one_effect_beside_any_other_design_and_two_equal_designs_are_called_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    design = tmp_path / "off.json"
+    design.write_text('{"light.emitter.radiance.value": 0}')
+    of_off = {}
+    for origin in ("", f"--from {design}"):
+        options = f"{origin} --design {design} --metric luminance --resolution 8x8 {SMALL} --json"
+        assert cli.main(shlex.split(f"compare cornell-box {options} --out {tmp_path}")) == 0
+        found = json.loads(capsys.readouterr().out)
+        (of_off[origin],) = [one["after"] for one in found["effects"] if one["name"].startswith("light.")]
+        are_equal = bool(origin)
+        assert (_compare.SAME in found["notes"]) is are_equal
+        assert any("their errors" in note for note in found["notes"]) is not are_equal
+    assert set(of_off.values()) == {0}
+
+
 def test_saved_results_of_different_quantities_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

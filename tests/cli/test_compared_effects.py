@@ -122,17 +122,20 @@ def test_an_effect_is_over_the_range_in_its_own_design(factor: float) -> None:
     assert "different ranges" not in " ".join(text_of(before, before))
 
 
-def test_a_light_that_is_off_in_both_designs_is_counted_only() -> None:
-    """Its effect, to first order, may be far off: as the largest of all it would be read as the main result."""
-    before = with_ranges(results.make(lights_off=["lamp"]))
+@pytest.mark.parametrize("is_linear", [False, True])
+def test_a_light_that_is_off_in_both_designs_has_no_effect_and_is_counted_only(is_linear: bool) -> None:
+    """As in a comparison with a design in which it is on: a design has one number, whatever stands beside it."""
+    before = with_ranges(results.make(lights_off=["lamp"], linear_in_light=is_linear))
     after = dataclasses.replace(before, attributions={name: 1.5 * one for name, one in before.items()})
+    (lamp,) = [one for one in _compared_effects.compared_effects(before, after) if one.name == "lamp"]
+    assert (lamp.before, lamp.after, lamp.change) == (0, 0, 0)
     text = text_of(before, after)
     assert not any(row.startswith("lamp") for row in rows_of(text))
-    assert "1 of lights that are off" in " ".join(" ".join(text).split())
-    assert "ranked last" not in " ".join(text)
-    moved = dataclasses.replace(before, parameter_values={"lamp": torch.zeros(3)})
-    switched = dataclasses.replace(after, parameter_values={"lamp": torch.ones(3)})
-    assert rows_of(text_of(moved, switched))[0].startswith("lamp")
+    joined = " ".join(" ".join(text).split())
+    assert "1 of lights that are off" in joined
+    assert "lamp is off in both, so its effect, from off to its value, is 0." in joined
+    assert "ranked last" not in joined
+    assert "switching on" not in joined
 
 
 def test_a_light_that_is_switched_off_has_no_effect_there() -> None:
@@ -146,7 +149,9 @@ def test_a_light_that_is_switched_off_has_no_effect_there() -> None:
     assert rows_of(text)[0].startswith("lamp")
     joined = " ".join(" ".join(text).split())
     assert "The effects of lamp are over different ranges, each that of its own result" in joined
-    assert "switching it on" not in joined
+    assert "for a light from off to its value, so 0 where it is off." in joined
+    assert "off in both" not in joined
+    assert "switching on" not in joined
     assert "lights that are off" not in joined
 
 

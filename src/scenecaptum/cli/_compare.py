@@ -49,6 +49,7 @@ MEASURED = (
 BY_DEFINITION = (
     "The values by the definition come from separate renders of both designs with the same random numbers{}."
 )
+SAME = "Both designs are the same."
 MOST = 0.5  # of the error of a change without common random numbers
 
 
@@ -172,7 +173,9 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         for one, of_definition in zip((before, after), both, strict=True)
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
-    if exact is None:
+    if _are_equal({**scenes.values, **(design or {})}, scenes.values):
+        measured = SAME
+    elif exact is None:
         measured = MEASURED.format(
             _remaining(change[1], [one.attribution.metric_standard_error for one in (before, after)])
         )
@@ -207,6 +210,10 @@ def _attributed_at(
         labels={**result.labels, **{name: renderer.parameters[name].label for name in beside}},
     )
     return Designed(result, renderer, metric)
+
+
+def _are_equal(values: Mapping[str, torch.Tensor], others: Mapping[str, torch.Tensor]) -> bool:
+    return all(torch.equal(value, others[name]) for name, value in values.items())
 
 
 def _remaining(error: float | None, errors: Sequence[float | None]) -> str:

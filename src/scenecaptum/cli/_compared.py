@@ -30,7 +30,7 @@ from ._compared_effects import (
     compared_effects,
     effect_table,
     not_compared,
-    with_own_ranges,
+    own_ranges,
 )
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ class Compared:
         """Return what belongs to the change: how it was measured, that of the relaxed metric, and cautions."""
         return [
             *filter(None, (self.measured, self.relaxed(), self.opposite(), self.different_settings())),
-            *filter(None, (with_own_ranges(self.before, self.after),)),
+            *own_ranges(self.before, self.after),
             *not_compared(self.before, self.after, self.titles),
         ]
 

@@ -75,18 +75,21 @@ class ComparedEffect(NamedTuple):
 def compared_effects(before: SceneAttribution, after: SceneAttribution) -> list[ComparedEffect]:
     """Return the effects of the parameters that both results have, each over its own range, the largest first.
 
-    A light that is off in one of the results has no effect there.
+    That of a light is from off to its value, so a light that is off in a result has no effect there.
     """
     before, after = _of_common_parameters(before, after)
     if not before:  # such as groups in one and parameters in the other: of another quantity, too
         return []
     own, others = ({row.name: row for row in one.ranking()} for one in (before, after))
-    dark = [lights_switched(before, after) & one.lights_off() for one in (before, after)]
+    dark = [one.lights_off() for one in (before, after)]
     found = []
     for changed in (after - before).ranking():
         name, change, error = changed.name, changed.effect, changed.effect_error
         if name not in own or name not in others:
             continue  # a pose that has no derivative in one of both
+        if name in dark[0] & dark[1]:
+            # The difference is that of switching it on, in one design and in the other.
+            change, error = 0.0, None
         first, second = own[name], others[name]
         if name in after.vectors:
             # Each effect is in a direction of its own.
@@ -108,8 +111,7 @@ def effect_table(
         return None
     before, after = _without_switched(before, after)
     moved = different_values(before, after)
-    # To first order, the effect of a light that is off in both may be far off: it tells nothing of the designs.
-    off = (before.ranked_last() | after.ranked_last()) - {*moved}
+    off = before.lights_off() & after.lights_off()
     shown = _shown([one for one in found if one.name not in off], moved)
     names = [one.name for one in shown]
     cautions = _of_both(titles, *(caution_groups(one, names) for one in (before, after)))
@@ -155,15 +157,21 @@ def not_compared(before: SceneAttribution, after: SceneAttribution, titles: Sequ
     return [*sentences, *jumps]
 
 
-def with_own_ranges(before: SceneAttribution, after: SceneAttribution) -> str:
-    """Return a sentence that names the effects over different ranges in both; empty if there are none."""
-    names = with_different_ranges(before, after)
-    if not names:
-        return ""
-    return (
-        f"The effects of {_named(before, names)} are over different ranges, each that of its own result: for a "
-        "light from off to its value."
-    )
+def own_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
+    """Return sentences for the effects over different ranges in both, and for lights that are off in both."""
+    names, sentences = with_different_ranges(before, after), []
+    if names:
+        zero = ", so 0 where it is off" if lights_switched(before, after) else ""
+        sentences.append(
+            f"The effects of {_named(before, names)} are over different ranges, each that of its own result: for "
+            f"a light from off to its value{zero}."
+        )
+    if off := [name for name in before if name in before.lights_off() & after.lights_off()]:
+        one, several = "its effect, from off to its value, is", "their effects, from off to their values, are"
+        sentences.append(
+            f"{_named(before, off)} {_is(off)} off in both, so {one if len(off) == 1 else several} 0."
+        )
+    return sentences
 
 
 def with_contradictions(

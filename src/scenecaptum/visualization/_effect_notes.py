@@ -122,7 +122,7 @@ def _off_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
 
 
 def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[str]) -> dict[str, list[str]]:
-    """Return a note on lights that are off: on their effects, unless the metric is linear, and on their groups."""
+    """Return notes on lights that are off: on what their effects are, and on their groups."""
     rendered = range_marked(_contradicted_notes(attribution, shown))
     off = [
         name
@@ -132,9 +132,14 @@ def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[
     last = attribution.ranked_last(scale)
     of_groups = [name for name in off if name not in attribution]
     if attribution.info.get("linear_in_light"):
-        return (
-            {f"{_named(attribution, of_groups)}: off, so left out of groups": of_groups} if of_groups else {}
-        )
+        per_unit = attribution.info.get("unit_ranges", ())
+        reasons = {
+            "off, so left out of groups": of_groups,
+            "off: the effect is that of switching on, to the value in the scene": [
+                name for name in off if name in attribution and name not in per_unit
+            ],
+        }
+        return {f"{_named(attribution, names)}: {why}": names for why, names in reasons.items() if names}
     cases = {
         ", so ranked last, without a bar or a colour": [name for name in off if name in last],
         ", so left out of groups": of_groups,
