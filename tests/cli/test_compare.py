@@ -275,13 +275,13 @@ def test_an_attribution_of_daylight_is_called_relaxed_and_its_report_quotes_the_
     text = "attribute classroom --spp 4 --spacing 2 --metric sda --inputs pane.* --report --no-progress"
     assert cli.main(shlex.split(f"{text} --out {tmp_path}")) == 0
     printed = capsys.readouterr().out
-    assert "spatial daylight autonomy without blinds, relaxed = " in printed.splitlines()[0]
+    assert "relaxed spatial daylight autonomy without blinds = " in printed.splitlines()[0]
     (quoted,) = re.findall(r"quote ([\d.]+) ± ([\d.]+) %, the value by the definition", printed)
     page = (tmp_path / "report.html").read_text()
     card = json.loads(page.partition('id="data">')[2].partition("</script>")[0])["results"][0]
     assert card["written"] == [*quoted]
     saved = SceneAttribution.load(tmp_path / "attribution.npz")
-    assert saved.info["measure"]["name"] == "spatial daylight autonomy without blinds, relaxed"
+    assert saved.info["measure"]["name"] == "relaxed spatial daylight autonomy without blinds"
 
 
 @pytest.mark.parametrize(

@@ -189,7 +189,7 @@ def test_the_shares_of_other_metrics_say_of_what_they_are():
 def test_the_sources_of_a_relaxed_rating_are_said_to_be_its_own():
     sources = (Source("ground", "bottom", 0.8, 0.01, 1800.0),)
     stated = Explanation(rated(24.8, 0.05), sources=sources, definition=Definition(24.6, ""))
-    assert "Where the glare comes from, of the relaxed value" in lines(stated)
+    assert "Where the glare comes from: shares of the relaxed rating" in lines(stated)
 
 
 def of_range(**inputs: tuple[torch.Tensor, torch.Tensor]) -> Any:
@@ -673,18 +673,21 @@ def test_a_saturated_share_with_no_clear_effect_says_so():
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     raised = dataclasses.replace(change(2.0, 0.1, predicted=2.1), exact=47.0 + 100 / 63)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(raised,)))
-    ((heading, (line,)),) = [item for item in said.items() if item[0].startswith("What would change it")]
-    assert "jump by whole points" in heading
+    legend, line = said["What would change it"]
+    assert legend == (
+        "sDA by the definition, before → after, jumps by whole points; the relaxed change, in parentheses, does "
+        "not: compare changes by it"
+    )
+    assert any(
+        heading.startswith("What it depends on: ") and " of relaxed spatial" in heading for heading in said
+    )
     assert line.endswith("sDA 47 → 48.6 % (relaxed: +2.00 ± 0.10 rendered, +2.100 ± 0.010 predicted)")
     known = dataclasses.replace(raised, exact_error=0.7)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(known,)))
-    (line,) = next(item for heading, item in said.items() if heading.startswith("What would change it"))
+    _, line = said["What would change it"]
     assert "sDA 47 → 48.6 %, by +1.6 ± 0.7 percentage points (relaxed: +2.00" in line
     hours = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, ""), changes=(raised,)))
-    assert (
-        "What would change it: values by the definition and relaxed changes, by which changes compare"
-        in hours
-    )
+    assert "jumps at the threshold; the relaxed change" in hours["What would change it"][0]
 
 
 def test_the_fewest_rows_with_most_of_the_effect_decide():

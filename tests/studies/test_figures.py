@@ -70,7 +70,7 @@ def test_an_effect_of_exactly_0_is_not_called_noise(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("rooms", [1, 5])
 def test_a_long_label_is_whole_and_a_change_of_a_share_is_in_points(tmp_path: Path, rooms: int) -> None:
-    share = {"name": "spatial daylight autonomy of the points of a floor, relaxed", "unit": "%"}
+    share = {"name": "relaxed spatial daylight autonomy of the points of a floor", "unit": "%"}
     effects = {cell: {"wall.alpha": 3.0} for cell in made.cells([*BY_ROOM][-rooms:])}
     result = made.study(tmp_path, effects, measure=share)
     figure = result.plot_effects("roughness")

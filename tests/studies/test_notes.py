@@ -41,7 +41,7 @@ def test_a_rating_near_its_threshold_is_called_relaxed_and_has_no_class(
         assert value["value"] == pytest.approx(gradient["value"], rel=1e-5)
         assert value["standard_error"] == pytest.approx(gradient["standard_error"], rel=1e-3)
         for numbers in (value, gradient):
-            assert ("relaxed" in numbers["measure"]) == relaxed
+            assert numbers["measure"] == f"{'relaxed ' if relaxed else ''}unified glare rating"
             assert bool(numbers["verdict"]) != relaxed
             assert (NOTE in " ".join(numbers["notes"])) == relaxed
             assert "valid if the scene's lights are in W/(m² sr)" in " ".join(numbers["notes"])

@@ -426,7 +426,7 @@ def test_a_share_of_points_is_relaxed_and_has_the_depth_of_daylight(run: Run, tm
     study = Study(["classroom"], cameras=["grid"], **options)
     result = run(study, tmp_path)
     (numbers,) = (result.numbers(cell) for cell in result.cells)
-    assert numbers["measure"].endswith("relaxed")
+    assert numbers["measure"].startswith("relaxed spatial daylight autonomy")
     assert not numbers["verdict"]
     said = "; ".join(numbers["notes"])
     assert "this value is relaxed" in said

@@ -85,8 +85,9 @@ class Explanation:
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
         # That counts sources below a threshold, too.
-        relaxed = ", of the relaxed value" if self.definition else ""
+        of_glare = f"{GLARE_SOURCES}: shares of the relaxed rating" if self.definition else GLARE_SOURCES
         is_glare = any(source.luminance is not None for source in self.sources)
+        depends_on = axis_label(self.attribution, width=None, is_relaxed=self.definition is not None)
         effects = EffectSentences(self.attribution, self.changes, self.count, self._saturated())
         sections = [
             (
@@ -94,14 +95,14 @@ class Explanation:
                 self.notes(),
             ),
             (
-                f"{GLARE_SOURCES if is_glare else PICTURE_SOURCES}{relaxed}",
+                of_glare if is_glare else PICTURE_SOURCES,
                 self._source_lines(),
             ),
             (
-                f"What it depends on: {axis_label(self.attribution, width=None)}{relaxed}",
+                f"What it depends on: {depends_on}",
                 effects.lines(),
             ),
-            (f"What would change it{self._relaxed_effects()}", self._change_lines()),
+            ("What would change it", self._change_lines()),
             ("Which points decide", self._row_lines()),
             (
                 self._goal_heading(),
@@ -233,7 +234,8 @@ class Explanation:
     def _change_lines(self) -> list[str]:
         if self.no_changes:
             return [self.no_changes]
-        return [self._change_line(change) for change in self.changes if change.is_clear]
+        lines = [self._change_line(change) for change in self.changes if change.is_clear]
+        return [*self._change_legend(), *lines] if lines else []
 
     def _row_lines(self) -> list[str]:
         """Return the rows that make up most of the effect of more light, then each row."""
@@ -253,12 +255,15 @@ class Explanation:
             *(self._row_line(row) for row in self.rows),
         ]
 
-    def _relaxed_effects(self) -> str:
-        """Say which of the values of a change is by the definition, and what to compare."""
+    def _change_legend(self) -> list[str]:
+        """Say which of the values of a change is by the definition, and why the relaxed ones stand beside it."""
         if self.definition is None:
-            return ""
-        jump = ", which jump by whole points," if self.definition.step else ""
-        return f": values by the definition{jump} and relaxed changes, by which changes compare"
+            return []
+        jumps = "by whole points" if self.definition.step else "at the threshold"
+        return [
+            f"{metric_symbol(self.attribution)} by the definition, before → after, jumps {jumps}; the relaxed "
+            "change, in parentheses, does not: compare changes by it"
+        ]
 
     def _row_legend(self) -> str:
         """Say what stands behind each row of points, and how the rows are counted on the plan."""

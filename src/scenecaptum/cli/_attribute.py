@@ -307,7 +307,7 @@ def _named_relaxed(said: Explanation) -> SceneAttribution:
     if said.definition is None:
         return attribution
     # The relaxed value is in no class.
-    measure = {**attribution.info["measure"], "name": f"{metric_name(attribution)}, relaxed", "limits": []}
+    measure = {**attribution.info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
     info = {**attribution.info, "measure": measure, "verdict": said.rating()}
     return dataclasses.replace(attribution, info=info)
 

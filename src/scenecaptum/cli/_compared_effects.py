@@ -123,7 +123,6 @@ def effect_table(
         first, second, change = one.numbers()
         label = f"{one.label} {marks[one.name]}" if one.name in marks else one.label
         rows.append((label, first, second, f"{change} {NOISE}" if one.name in is_noisy else change))
-    of_what = ", of the relaxed value" if relaxed else ""
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
     below = [f"{mark} {text}" for text, mark in caution_marks(cautions).items()]
     below += [prefixed("~ ", note) for note in notes]
@@ -133,7 +132,7 @@ def effect_table(
         stated = (f"{title}: {baseline}" for title, baseline in zip(titles, baselines, strict=True))
         below.append(f"compared with different baselines; {'; '.join(stated)}")
     return Table(
-        f"effect: {axis_label(after, width=None)}{of_what}",
+        f"effect: {axis_label(after, width=None, is_relaxed=relaxed)}",
         ("effect of", *titles, f"change{unit}"),
         rows,
         [*below, *_left_out([one for one in found if one not in shown], off)],

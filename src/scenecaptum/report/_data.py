@@ -327,9 +327,9 @@ def _without_advice(info: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _axis(attribution: Attribution, explanation: Explanation | None) -> str:
-    """Return what the effects are: those of the relaxed value, where the one by the definition is stated."""
+    """Return what the effects are: those of the relaxed metric, where the one by the definition is stated."""
     is_relaxed = explanation is not None and explanation.definition is not None
-    return f"{axis_label(attribution, width=None)}{', of the relaxed value' if is_relaxed else ''}"
+    return axis_label(attribution, width=None, is_relaxed=is_relaxed)
 
 
 def _effect_unit(attribution: Attribution) -> str:

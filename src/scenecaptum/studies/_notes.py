@@ -58,7 +58,7 @@ def described(
     measure, verdict = info["measure"], info["verdict"] or ""
     notes = photometric_premises(metric.metric, image, value, shown, renderer)
     if states_definition(metric, shown):
-        measure, verdict = {**measure, "name": f"{measure['name']}, relaxed"}, ""
+        measure, verdict = {**measure, "name": f"relaxed {measure['name']}"}, ""
         notes = (RELAXED if isinstance(metric.metric, GlareRating) else RELAXED_DAYLIGHT, *notes)
     notes += sky_premises(metric.metric, made_up=made_up) + grid_premises(renderer) + _depth(renderer)
     picture = info.get("picture") or {}

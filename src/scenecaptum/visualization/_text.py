@@ -121,12 +121,16 @@ def axis_label(
     width: int | None = METRIC_WIDTH,
     *,
     metric: str | None = None,
+    is_relaxed: bool = False,
 ) -> str:
-    """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``."""
+    """Return the axis label for effects in a scale; by default ``metric`` is its name, shortened to ``width``.
+
+    ``is_relaxed`` says that the effects are those of the relaxed metric, beside a value by the definition.
+    """
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if metric is None:
         metric = with_unit_of_effects(attribution, metric_name(attribution, width))
-    label = kind.axis_label.format(metric)
+    label = kind.axis_label.format(f"relaxed {metric}" if is_relaxed else metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 
 
