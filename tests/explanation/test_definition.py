@@ -51,11 +51,11 @@ def test_a_room_without_light_of_the_sky_is_named_so() -> None:
         daylight.SpatialDaylightAutonomy(sky),
         daylight.DaylightFactor(daylight.SkyMatrix.cie_overcast()),
     ):
-        assert "what covers the windows?" in photometric_premises(metric, dark, 0.0)[0]
-        assert photometric_premises(metric, dark + 0.1 * math.pi / patches.count, 10.0) == ()
+        assert "what covers the windows?" in photometric_premises(metric, dark, 0.0, None)[0]
+        assert photometric_premises(metric, dark + 0.1 * math.pi / patches.count, 10.0, None) == ()
     # Of direct light alone, which may reach no point of a bright room.
-    assert photometric_premises(daylight.AnnualSunlightExposure(sky), dark, 0.0) == ()
-    shares = photometric_premises(daylight.DaylightProvision(sky), dark + 9.0, 0.0)
+    assert photometric_premises(daylight.AnnualSunlightExposure(sky), dark, 0.0, None) == ()
+    shares = photometric_premises(daylight.DaylightProvision(sky), dark + 9.0, 0.0, None)
     assert shares == (
         "300 lx at 100 % of the points (50 required), 100 lx at 100 % of the points (95 required): "
         "100 lx decides",

@@ -17,7 +17,7 @@ from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
 from scenecaptum.validation import Scenes
-from scenecaptum.visualization import plot_bars, table_text
+from scenecaptum.visualization import format_with_error, plot_bars, table_text
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +240,7 @@ def test_a_picture_without_a_glare_source_says_so_with_its_brightest_pixel():
     camera = Camera.perspective(16, 16, fov_x=60)
     image = torch.full((16, 16, 3), 0.5)
     metric = metrics.UnifiedGlareRating(camera)
-    (note,) = [one for one in photometric_premises(metric, image, 0.0) if "no pixel" in one]
+    (note,) = [one for one in photometric_premises(metric, image, 0.0, None) if "no pixel" in one]
     assert note.startswith("no pixel is brighter than 2000 cd/m² (the brightest: 89.5 cd/m²): nothing counts")
     assert note.endswith("a threshold factor of 5")
 
@@ -249,7 +249,9 @@ def test_the_illuminance_from_within_a_narrow_view_says_so():
     def said(camera: Camera) -> list[str]:
         metric = metrics.VerticalIlluminance(camera)
         return [
-            one for one in photometric_premises(metric, torch.ones(8, 8, 3), 1.0) if "field of view" in one
+            one
+            for one in photometric_premises(metric, torch.ones(8, 8, 3), 1.0, None)
+            if "field of view" in one
         ]
 
     (note,) = said(Camera.perspective(8, 8, fov_x=66.2))
@@ -264,12 +266,24 @@ def test_only_a_source_that_is_close_to_an_absolute_threshold_has_a_note():
     def has_note(luminance: float, **options: float) -> bool:
         image = torch.full((16, 16, 3), 0.5)
         image[4:6, 7:9] = luminance / 179
-        premises = photometric_premises(metrics.UnifiedGlareRating(camera, **options), image, 10.0)
+        premises = photometric_premises(metrics.UnifiedGlareRating(camera, **options), image, 10.0, None)
         return any(note.startswith("only pixels brighter than 2000 cd/m² count") for note in premises)
 
     assert has_note(4000.0)
     assert not has_note(20000.0)
     assert not has_note(4000.0, threshold_factor=5.0)
+
+
+@pytest.mark.parametrize(("error", "decimals"), [(0.2, 2), (0.012, 3), (3.0, 1), (0.5, 1)])
+def test_the_rating_by_the_other_threshold_has_the_decimals_of_the_one_it_stands_beside(
+    error: float, decimals: int
+) -> None:
+    image = torch.full((16, 16, 3), 0.5)
+    image[4:6, 7:9] = 4000.0 / 179
+    metric = metrics.UnifiedGlareRating(Camera.perspective(16, 16, fov_x=60))
+    (note,) = [one for one in photometric_premises(metric, image, 24.7, error) if "UGR is" in one]
+    assert len(note.rpartition(".")[2]) == decimals
+    assert len(format_with_error(24.7, error).split()[0].rpartition(".")[2]) == decimals
 
 
 class _Firefly:

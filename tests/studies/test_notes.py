@@ -11,7 +11,7 @@ from seeds import seeds
 
 from scenecaptum.studies import Study, StudyResult
 from scenecaptum.studies._worker import _beside
-from scenecaptum.visualization import rounded
+from scenecaptum.visualization import Format
 
 SMALL = {"inputs": "emitters", "resolution": (32, 18), "spp": 16, "max_depth": 3}
 # A sky just above 2000 cd/m², which counts in full by the definition and in part in the relaxed rating.
@@ -52,7 +52,8 @@ def test_a_rating_near_its_threshold_is_called_relaxed_and_has_no_class(
     index = result.write_report(tmp_path / "report")
     assert NOTE in index.read_text(encoding="utf-8")
     # The rating by the other threshold is a number of the table, and its sentence is there once.
-    rating = rounded(result.numbers(dim[0])["relative_rating"])
+    numbers = result.numbers(dim[0])
+    rating = Format.of(numbers["value"], numbers["standard_error"]).write(numbers["relative_rating"])
     assert f"UGR is {rating}" in " ".join(result.numbers(dim[0])["notes"])
     assert f"UGR is {rating}" not in str(result)
     text = index.read_text(encoding="utf-8")

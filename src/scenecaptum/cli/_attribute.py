@@ -292,7 +292,10 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     if image is None or (attribution.surfaces is None and not isinstance(metric, DaylightMetric)):
         return None
     shown = rated_image(attribution, renderer)
-    notes = photometric_premises(metric, image, attribution.metric_value, shown, renderer)
+    value, error = attribution.metric_value, attribution.metric_standard_error
+    if definition is not None:
+        value, error = definition.value, definition.error
+    notes = photometric_premises(metric, image, value, error, shown, renderer)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
         notes += (RELAXED,)
     if not notes and definition is None:

@@ -243,8 +243,10 @@ def _side(
         targeted, images = of_definition
         definition, of_value = definition_of(targeted, images), images.mean(0)
         shown = targeted.transform(of_value)
-    value = attribution.metric_value if definition is None else definition.value
-    of_picture = photometric_premises(metric, of_value, value, shown, renderer)
+    value, error = attribution.metric_value, attribution.metric_standard_error
+    if definition is not None:
+        value, error = definition.value, definition.error
+    of_picture = photometric_premises(metric, of_value, value, error, shown, renderer)
     return Side(
         plan_of(of_value, renderer, metric, attribution.info),
         definition,

@@ -133,7 +133,8 @@ def _write_report(
         )
         stated = explanation.definition is not None
         shown = _with_value(reached, goal.after, TargetedMetric(metric, options.target), stated=stated)
-        of_picture = photometric_premises(metric, goal.after.image, goal.after.value, renderer=renderer)
+        after = goal.after
+        of_picture = photometric_premises(metric, after.image, after.value, after.error, renderer=renderer)
         notes = of_picture + premises(metric, options) + grid_premises(renderer)
         results.append(dataclasses.replace(shown, premises=notes))
         titles = ["as it is", f"below {goal.below:g}"]

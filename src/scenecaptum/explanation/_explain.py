@@ -31,7 +31,7 @@ from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
-from ..visualization import advised, rounded
+from ..visualization import Format, advised, rounded
 from ._changes import propose, rendered, why_none
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
@@ -145,11 +145,13 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         attribution = _with_caution_of_relaxed(attribution)
     # What the notes are of, a plan draws and the rows count is what the quoted value is of.
     assert attribution.image is not None, "every attribution of a gradient method has its image"
-    value, of_value, other = attribution.metric_value, attribution.image, picture
+    value, error = attribution.metric_value, attribution.metric_standard_error
+    of_value, other = attribution.image, picture
     if definition is not None:
-        value, of_value, other = definition.value, picture, attribution.image
+        value, error = definition.value, definition.error
+        of_value, other = picture, attribution.image
     shown = scenes.metric.transform(of_value)
-    premises = photometric_premises(metric, of_value, value, shown, renderer)
+    premises = photometric_premises(metric, of_value, value, error, shown, renderer)
     if isinstance(metric, GlareRating):
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and not goal.was_below:
@@ -193,8 +195,9 @@ def _threshold_at(
         is_near_threshold(metric, one) for one in (before, after)
     ):
         return ()
+    style = Format.of(goal.after.value, goal.after.error)
     whose = AT_THE_GOAL if goal.reached else "of the design that was tried"
-    return (f"{whose}: {relative_sentence(metric, after)}",)
+    return (f"{whose}: {relative_sentence(metric, after, style)}",)
 
 
 def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tensor:
@@ -217,12 +220,14 @@ def photometric_premises(
     metric: Metric,
     image: torch.Tensor,
     value: float,
+    error: float | None,
     shown: torch.Tensor | None = None,
     renderer: Renderer | None = None,
 ) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene.
 
-    ``shown`` is the picture that is rated, if that is denoised; ``renderer`` knows the lamps of the scene.
+    ``value`` and ``error`` are those that it stands beside. ``shown`` is the picture that is rated, if that is
+    denoised; ``renderer`` knows the lamps of the scene.
     """
     premises = []
     efficacy = getattr(metric, "efficacy", 1)
@@ -239,7 +244,7 @@ def photometric_premises(
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
-    premises += threshold_notes(metric, image if shown is None else shown)
+    premises += threshold_notes(metric, image if shown is None else shown, Format.of(value, error))
     if isinstance(metric, VerticalIlluminance) and not metric.camera.sees_hemisphere:
         premises.append(
             advised(

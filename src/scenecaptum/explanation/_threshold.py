@@ -8,15 +8,18 @@ import torch
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
-from ..visualization import advised, rounded
+from ..visualization import Format, advised, rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 
 
-def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
-    """Return a note if a picture has no glare source, or its main source is close to an absolute threshold."""
+def threshold_notes(metric: Metric, image: torch.Tensor, style: Format) -> list[str]:
+    """Return a note if a picture has no glare source, or its main source is close to an absolute threshold.
+
+    ``style`` is that of the rating beside which the one by the other threshold stands.
+    """
     if not isinstance(metric, GlareRating):
         return []
     factor = metric.threshold_factor
@@ -33,7 +36,7 @@ def threshold_notes(metric: Metric, image: torch.Tensor) -> list[str]:
             )
         ]
     if note := near_threshold_note(metric, image):
-        return [f"{note}; {relative_sentence(metric, image)}"]
+        return [f"{note}; {relative_sentence(metric, image, style)}"]
     return []
 
 
@@ -75,10 +78,10 @@ def is_near_threshold(metric: GlareRating, image: torch.Tensor) -> bool:
     return main is not None and main.luminance < NEAR * metric.held_at(image).threshold
 
 
-def relative_sentence(metric: GlareRating, image: torch.Tensor) -> str:
-    """Return ``"with a threshold of 5 times the mean luminance, UGR is 21.6"``."""
+def relative_sentence(metric: GlareRating, image: torch.Tensor, style: Format) -> str:
+    """Return ``"with a threshold of 5 times the mean luminance, UGR is 21.6"``, in a style of numbers."""
     rating, name = relative_rating(metric, image), metric.measure.symbol or metric.measure.name
-    return f"with a threshold of {FACTOR:g} times the mean luminance, {name} is {rounded(rating)}"
+    return f"with a threshold of {FACTOR:g} times the mean luminance, {name} is {style.write(rating)}"
 
 
 def relative_rating(metric: GlareRating, image: torch.Tensor) -> float:

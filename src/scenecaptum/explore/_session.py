@@ -306,6 +306,7 @@ class Exploration:
                         metric.metric,
                         measured.image,
                         value,
+                        error,
                         metric.transform(measured.image),
                         self.designs.renderer,
                     )

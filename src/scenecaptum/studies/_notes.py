@@ -42,9 +42,11 @@ def described(
     image: torch.Tensor,
     shown: torch.Tensor,
     value: float,
+    error: float | None,
     info: Mapping[str, Any],
     renderer: SceneRenderer,
-    made_up: bool = False,
+    *,
+    made_up: bool,
 ) -> dict[str, Any]:
     """Return measure, verdict, notes and cautions of a cell; ``info`` has what is known of the value itself.
 
@@ -56,7 +58,7 @@ def described(
     own, too, for tables.
     """
     measure, verdict = info["measure"], info["verdict"] or ""
-    notes = photometric_premises(metric.metric, image, value, shown, renderer)
+    notes = photometric_premises(metric.metric, image, value, error, shown, renderer)
     if states_definition(metric, shown):
         measure, verdict = {**measure, "name": f"relaxed {measure['name']}"}, ""
         notes = (RELAXED if isinstance(metric.metric, GlareRating) else RELAXED_DAYLIGHT, *notes)

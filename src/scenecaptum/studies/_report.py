@@ -19,7 +19,7 @@ from ..errors import SceneCaptumError
 from ..explanation import FACTOR
 from ..files import atomic_write, write_error
 from ..report import encode_figure, fill_template, write_report
-from ..visualization import findings, format_with_error, pluralize, rounded
+from ..visualization import Format, findings, format_with_error, pluralize, rounded
 from ._cell_effects import CellResults, Group
 from ._figures import MIN_GROUPS, plot_effect_by_room, plot_gallery, plot_rank_stability
 from ._notes import columns_of, count_of_cautions, mark_of, notes_of
@@ -253,9 +253,11 @@ def _rows(
         )
     for cell, key in result.cells.items():
         numbers = result.numbers(cell)
-        value = f"{format_with_error(numbers['value'], numbers['standard_error'])} {numbers['unit']}".strip()
+        number = numbers["value"], numbers["standard_error"]
+        value = f"{format_with_error(*number)} {numbers['unit']}".strip()
         relative = numbers.get("relative_rating")
-        written = [(numbers["value"], value), (relative, "" if relative is None else rounded(relative))]
+        beside = "" if relative is None else Format.of(*number).write(relative)
+        written = [(numbers["value"], value), (relative, beside)]
         yield _row(
             cell,
             axes,

@@ -74,8 +74,9 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     assert attribution.image is not None, "every attribution of a SceneRenderer has its image"
     targeted = TargetedMetric(metric, options.get("target"))
     shown = rated_image(attribution, renderer)
-    value, info, made_up = attribution.metric_value, attribution.info, has_made_up_weather(recipe)
-    said = described(targeted, attribution.image, shown, value, info, renderer, made_up)
+    value, error = attribution.metric_value, attribution.metric_standard_error
+    info, made_up = attribution.info, has_made_up_weather(recipe)
+    said = described(targeted, attribution.image, shown, value, error, info, renderer, made_up=made_up)
     info = {**info, "measure": said["measure"], "verdict": said["verdict"], **_grid(renderer)}
     attribution = dataclasses.replace(attribution, info=info)
     table = renderer.parameters_table()
@@ -95,9 +96,9 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     numbers = {
         "measure": metric_name(attribution),
         "unit": metric_unit(attribution),
-        "value": attribution.metric_value,
-        "standard_error": attribution.metric_standard_error,
-        **_beside(said, attribution.metric_value, attribution.metric_standard_error),
+        "value": value,
+        "standard_error": error,
+        **_beside(said, value, error),
         **convergence_of(attribution),
         "max_depth": renderer.plan.max_depth,
         "host": host_name(),
@@ -140,7 +141,7 @@ def _measure(
     info = found.metric.describe(found.value, found.image)
     shown = found.metric.transform(found.image)
     made_up = has_made_up_weather(recipe)
-    said = described(targeted, found.image, shown, found.value, info, renderer, made_up)
+    said = described(targeted, found.image, shown, found.value, found.error, info, renderer, made_up=made_up)
     measure = said["measure"] or {}
     return {
         "measure": measure.get("name", found.metric.name),
