@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -65,6 +66,18 @@ def test_cautions_of_cells_are_columns_and_counted(doubtful: StudyResult, tmp_pa
         assert NOISY.format(9) not in text
         assert f"{SUM} (office · front" in text
         assert text.index("caution: the picture") < text.index("valid if so (office")
+
+
+@pytest.mark.parametrize(("count", "whose"), [(3, "all cells"), (2, "office and 1 more cell"), (1, "office")])
+def test_a_note_of_all_cells_says_so(count: int, whose: str, tmp_path: Path) -> None:
+    cells = made.cells(["office", "attic", "kitchen"])
+    said = {cell: {"notes": ["valid if so"]} for cell in cells[:count]}
+    result = made.study(tmp_path, made.random_effects(cells, 0), said=said)
+    pattern = whose.replace("office", "office[^()]*")
+    for notes in (str(result).splitlines(), result.summary().notes()):
+        assert [note for note in notes if re.fullmatch(rf"valid if so \({pattern}\)", note)]
+    alone = made.study(tmp_path / "alone", made.random_effects(cells[:1], 0), said={cells[0]: said[cells[0]]})
+    assert "all cells" not in str(alone), "the only cell has a name"
 
 
 def test_cells_that_are_undecided_are_counted(tmp_path: Path) -> None:

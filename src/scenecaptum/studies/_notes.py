@@ -139,6 +139,7 @@ def notes_of(result: CellResults, cells: Iterable[Cell], *, with_advice: bool = 
 
     Cautions that differ in their numbers only are one note. Pages for others are without advice.
     """
+    cells = list(cells)
     kinds: dict[str, list[tuple[str, str]]] = {}
     whole: dict[str, str] = {}
     for cell in cells:
@@ -149,7 +150,7 @@ def notes_of(result: CellResults, cells: Iterable[Cell], *, with_advice: bool = 
         for note in _notes(numbers):
             kinds.setdefault(_kind(note), []).append((note, str(cell)))
     ordered = sorted(kinds.values(), key=lambda pairs: not _is_doubt(pairs[0][0]))
-    lines = [f"{whole.get(pairs[0][0], pairs[0][0])} ({_which(pairs)})" for pairs in ordered]
+    lines = [f"{whole.get(pairs[0][0], pairs[0][0])} ({_which(pairs, len(cells))})" for pairs in ordered]
     more = len(lines) - MOST_NOTES
     return lines if more <= 0 else [*lines[:MOST_NOTES], f"{pluralize(more, 'more note')} on single cells"]
 
@@ -175,10 +176,11 @@ def _head(text: str) -> str:
     return re.split("[:;] ", text, maxsplit=1)[0]
 
 
-def _which(pairs: Sequence[tuple[str, str]]) -> str:
-    """Return the cells of a note, and whether it has other numbers in some of them."""
+def _which(pairs: Sequence[tuple[str, str]], count: int) -> str:
+    """Return the cells of a note, of ``count`` in all, and whether it has other numbers in some of them."""
     (note, cell), *others = pairs
     if not others:
         return cell
     numbers = ", with numbers of their own" if any(other != note for other, _ in others) else ""
-    return f"{cell} and {pluralize(len(others), 'more cell')}{numbers}"
+    which = "all cells" if len(pairs) == count else f"{cell} and {pluralize(len(others), 'more cell')}"
+    return f"{which}{numbers}"
