@@ -138,6 +138,18 @@ def test_a_light_that_is_off_in_both_designs_has_no_effect_and_is_counted_only(i
     assert "switching on" not in joined
 
 
+def test_effects_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_light() -> None:
+    first = with_ranges(results.make(lights_on=["lamp"]))
+    changed, linear = (
+        dataclasses.replace(first, info={**first.info, **info})
+        for info in ({"lights_on": []}, {"linear_in_light": True})
+    )
+    note = "of a light, to first order: Glare is not linear in the light"
+    assert sum(line.startswith(f"  {note}") for line in text_of(first, first)) == 1
+    assert any(line.startswith(f"  A: {note}") for line in text_of(first, changed)), "of one of both alone"
+    assert not any(note in line for line in text_of(linear, linear))
+
+
 def test_a_light_that_is_switched_off_has_no_effect_there() -> None:
     on = with_ranges(results.make())
     off = dataclasses.replace(on, info={**on.info, "lights_off": ["lamp"]})

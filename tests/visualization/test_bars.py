@@ -88,6 +88,22 @@ def test_a_light_that_is_off_has_its_number_in_place_of_a_bar() -> None:
     assert plot_bars(on).axes[0].patches[0].get_width() == -50
 
 
+def test_bars_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_light() -> None:
+    note = "of a light, to first order: Glare is not linear in the light"
+    found = of_values(("lamp", -50.0, 0.0), ("desk", 1.0, 0.5), errors=0.1)
+    lit = dataclasses.replace(found, info={**found.info, "lights_on": ["lamp"]})
+    figure = plot_bars(lit)
+    assert note in " ".join(all_text(figure).split())
+    assert outside(figure) == []
+    linear = dataclasses.replace(lit, info={**lit.info, "linear_in_light": True})
+    for other in (found, linear):
+        assert note not in " ".join(all_text(plot_bars(other)).split())
+    for two in (lit - 0.5 * found, lit + lit):
+        assert "of a light, to first order" in " ".join(all_text(plot_bars(two)).split()), (
+            "of a difference or a mean, too"
+        )
+
+
 def test_bars_of_doubtful_derivatives_are_hatched() -> None:
     figure = plot_bars(make(cautions={"rough": "its size is off"}))
     hatched = [bool(bar.get_hatch()) for bar in figure.axes[0].patches]

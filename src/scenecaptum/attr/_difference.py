@@ -151,7 +151,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info |= _without_derivative(a.info, b.info)
     off = b.info.get("lights_off", ())
     info["lights_off"] = [name for name in a.info.get("lights_off", ()) if name in off]
-    info["lights_on"] = []
+    info["lights_on"] = list(dict.fromkeys([*a.info.get("lights_on", ()), *b.info.get("lights_on", ())]))
     info["linear_in_light"] = all(side.info.get("linear_in_light") for side in (a, b))
     own = [*a.info.get("own_ranges", ()), *b.info.get("own_ranges", ())]
     info["own_ranges"] = list(dict.fromkeys(own))

@@ -18,6 +18,7 @@ from ..visualization import (
     caution_marks,
     first_few,
     jump_notes,
+    light_notes,
     metric_unit,
     pluralize,
     prefixed,
@@ -126,6 +127,10 @@ def effect_table(
     unit = f" {unit_of_change(metric_unit(after))}".rstrip()
     below = [f"{mark} {text}" for text, mark in caution_marks(cautions).items()]
     below += [prefixed("~ ", note) for note in notes]
+    of_lights = (
+        light_notes(one, [row for row in one.ranking() if row.name in names]) for one in (before, after)
+    )
+    below += _of_both(titles, *({note: [] for note in found_notes} for found_notes in of_lights))
     below += [f"{NOISE} change within the noise"] if is_noisy else []
     if not have_same_baselines(before.info, after.info):
         baselines = (one.info.get("compared_with") or "none" for one in (before, after))

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ..protocols import Attribution, RankedParameter, Scale
-from ._effect_notes import range_marked, range_notes
+from ._effect_notes import light_notes, range_marked, range_notes
 from ._figures import (
     DEFAULT_TOP,
     LOWERS,
@@ -240,6 +240,7 @@ def _footnotes(
         *bar_doubts(attribution, rows),
     ]
     lines = [*pack([note for note in notes if note], width), *baseline_notes(attribution)]
+    lines += light_notes(attribution, rows, scale)
     for text, names in cautions.items():
         labels = shorten([attribution.labels.get(name, name) for name in names[:_MAX_NAMES]], _NAME_WIDTH)
         more = [f"{len(names) - _MAX_NAMES} more"] if len(names) > _MAX_NAMES else []
