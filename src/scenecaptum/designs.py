@@ -83,8 +83,9 @@ def _matching(pattern: str, key: str, values: Mapping[str, Any], parameters: Map
             if problem:
                 raise SceneCaptumError(f"{matched} cannot be an input: {problem}.")
             raise SceneCaptumError(f'{matched} is not selected as an input: inputs="{kind}" selects it.')
+        hint = parameters.hint(pattern) if hasattr(parameters, "hint") else ""  # of what the scene has
         raise SceneCaptumError(
-            f"The design sets {key!r}{change}, which is not an input.{near_misses(pattern, values)} "
+            f"The design sets {key!r}{change}, which is not an input.{hint or near_misses(pattern, values)} "
             "`scenecaptum parameters SCENE` lists them."
         )
     return found

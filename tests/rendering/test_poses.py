@@ -597,6 +597,11 @@ def test_what_a_light_without_geometry_lacks_is_named(mi: Any) -> None:
         assert f"it positions a light; select {light}.pose.* instead." in said
         left = {f"{light}.pose.{one}" for one in ("translation", "rotation", "scale") if one not in reasons}
         assert set(SceneRenderer(parts, f"{light}.pose.*").inputs) == left
+    # An object of shapes that has the name of the light.
+    whole = {"scene": {**parts, "cone": {"type": "sphere"}}, "objects": {"spot": "cone"}}
+    said = message(lambda: SceneRenderer(inputs="spot.to_world", **whole))
+    assert "it positions a light; select spot_light.pose.* instead." in said
+    assert "spot_light.pose.rotation" in SceneRenderer(inputs="spot_light.pose.*", **whole).inputs
     sky = {**parts, "env": {"type": "sunsky"}}
     for name in ("env.pose.scale", "env.to_world"):
         said = message(lambda n=name: SceneRenderer(sky, n))

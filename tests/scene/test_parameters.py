@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from refusals import message
 from rooms import ball, small_scene, table
 
+from scenecaptum.designs import design_of
 from scenecaptum.scene import SceneParameters, discover_in, load_scene, select
 from scenecaptum.scene._bounds import Bounds
 from scenecaptum.scene._selection import KINDS
@@ -369,7 +371,13 @@ def test_a_shape_is_told_the_name_of_its_shared_material(mi: Any, inputs: str, m
     parameters = discover_in({"type": "scene", "camera": camera, "metal": metal, **shapes})
     said = message(lambda: select(parameters, inputs))
     assert f"Did you mean '{meant}" in said
-    assert ("The material of 'ball' is 'metal.*'." in said) == meant.startswith("metal")
+    hint = "The material of 'ball' is 'metal.*'."
+    assert (hint in said) == meant.startswith("metal")
+    # The same of the name in a design.
+    renderer = SimpleNamespace(inputs=dict.fromkeys(parameters), parameters=parameters)
+    said = message(lambda: design_of(renderer, {inputs: 0.2}))
+    assert (hint in said) == meant.startswith("metal")
+    assert f"Did you mean '{meant}" in said
 
 
 @pytest.mark.parametrize("inputs", ["sensor.*", "sensor.film.*", "sensor.fov", "camera.x_fov"])

@@ -254,7 +254,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
         found = find_objects(self._graph, objects)
         camera = moving_camera(self._sensors)
-        in_scene = discover(self._graph)
+        in_scene = discover(self._graph, found)
         moving = [*found, camera.object]
         self._objects = {one.name: one for one in moving}
         table = SceneParameters(

@@ -23,6 +23,7 @@ from ..visualization import (
     wrap,
 )
 from ._bounds import Bounds
+from ._hints import hint
 
 SURFACE_KINDS = ("reflectance", "roughness", "ior", "opacity", "surface")
 POSES, CAMERA = "poses", "camera"
@@ -170,6 +171,10 @@ class SceneParameters(Mapping[str, Parameter]):
         return SceneParameters(
             dataclasses.replace(p, problem=problem) if p.kind == kind else p for p in self.values()
         )
+
+    def hint(self, name: str) -> str:
+        """Return in a sentence what a ``name`` means that no parameter has; empty if that is not known."""
+        return hint(self, name)
 
     def __getitem__(self, name: str) -> Parameter:
         try:

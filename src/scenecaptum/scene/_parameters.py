@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -15,7 +15,7 @@ from ._checks import find_fault
 from ._graph import SceneGraph, mesh_attribute_size
 from ._loading import SceneLike, XmlParameters, load_scene
 from ._naming import area_emitter_id
-from ._objects import camera_object, find_objects, problem_of_light
+from ._objects import SceneObject, camera_object, find_objects, problem_of_light
 from ._parameter_table import IN_BYTES, SURFACE_KINDS, Parameter, SceneParameters
 from ._poses import camera_parameters, pose_parameters
 from ._roles import (
@@ -45,8 +45,11 @@ _LABEL_WORDS = {
 _BUMP_WORDS = {"scale": "bump scale", "nested_texture": "bump"}
 
 
-def discover(graph: SceneGraph) -> SceneParameters:
+def discover(graph: SceneGraph, objects: Iterable[SceneObject] = ()) -> SceneParameters:
     """Return every parameter that ``mi.traverse`` finds in a scene, as ``SceneRenderer.parameters_table`` does.
+
+    ``objects`` are those of the scene in ``graph``, by whose names lights are moved: they may have others than
+    in Mitsuba.
 
     Example
     -------
@@ -58,8 +61,9 @@ def discover(graph: SceneGraph) -> SceneParameters:
     # Only read here; mi.traverse defines the names.
     properties = mi.traverse(graph.scene).properties
     labels = _unique_labels({name: _label(graph, name, node) for name, (_, _, node, _) in properties.items()})
+    lights = {key.rpartition(".")[0]: one.name for one in objects if not one.shapes for key in one.keys}
     return SceneParameters(
-        _describe(graph, name, labels[name], node, _value(pointer, cpptype, node), flags)
+        _describe(graph, name, labels[name], node, _value(pointer, cpptype, node), flags, lights)
         for name, (pointer, cpptype, node, flags) in properties.items()
     )
 
@@ -71,13 +75,13 @@ def discover_in(scene: SceneLike, parameters: XmlParameters | None = None) -> Sc
     """
     with exclusively():
         graph = SceneGraph(load_scene(scene, parameters))
-        poses = pose_parameters(find_objects(graph))
+        objects = find_objects(graph)
         camera = [
             found
             for sensor in graph.scene.sensors()[:1]
             for found in camera_parameters(camera_object(sensor))
         ]
-        return SceneParameters([*discover(graph).values(), *poses, *camera])
+        return SceneParameters([*discover(graph, objects).values(), *pose_parameters(objects), *camera])
 
 
 def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
@@ -85,9 +89,11 @@ def _value(pointer: Any, cpptype: Any, node: Any) -> Any:
     return pointer if cpptype is None else mi.get_property(pointer, cpptype, node)
 
 
-def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int) -> Parameter:
+def _describe(
+    graph: SceneGraph, name: str, label: str, node: Any, value: Any, flags: int, lights: Mapping[str, str]
+) -> Parameter:
     mi = activate()
-    own_name = name.rsplit(".", 1)[-1]
+    owner, _, own_name = name.rpartition(".")
     user, role = graph.role(node, own_name)
     kind, bounds, effect_range = _kind_bounds_and_range(user, role)
     # The bounds are those of the values of the texture or light, not of where it is.
@@ -104,7 +110,7 @@ def _describe(graph: SceneGraph, name: str, label: str, node: Any, value: Any, f
         and not (_is_foreign_and_specular(user) and math.prod(shape) <= MAX_DIFFERENCES)
     )
     shapes = graph.shapes_using(node) if isinstance(user, mi.BSDF) else []
-    problem = _problem(name, kind, role, user, shape, value, tracked)
+    problem = _problem(lights.get(owner, owner), kind, role, user, shape, value, tracked)
     fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
     return Parameter(
         name=name,
@@ -157,7 +163,7 @@ def _material_role(role: str) -> MaterialRole:
 
 
 def _problem(
-    name: str, kind: str, role: str, user: Any, shape: tuple[int, ...], value: Any, tracked: bool
+    owner: str, kind: str, role: str, user: Any, shape: tuple[int, ...], value: Any, tracked: bool
 ) -> str | None:
     """Return the reason why the parameter cannot be differentiated, or None."""
     type_name = type(value).__name__
@@ -173,7 +179,7 @@ def _problem(
     if type_name == "TensorXu8":
         return IN_BYTES
     if kind == "emitters" and (role in EMITTER_POSES or role == "to_world"):
-        instead = problem_of_light(user) or f"select {name.rpartition('.')[0]}.pose.* instead"
+        instead = problem_of_light(user) or f"select {owner}.pose.* instead"
         return f"it positions a light; {instead}"
     if _is_transform(value):
         return "it is a transformation, whose entries are not differentiated"

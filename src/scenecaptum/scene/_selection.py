@@ -104,10 +104,7 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
     owner = item.partition(".")[0]
     hint = ""
     if item not in KINDS:
-        own = (
-            _part_hint(parameters, item) or _material_hint(parameters, owner) or _shape_hint(parameters, item)
-        )
-        hint = own or near_names(item, known, KINDS)
+        hint = parameters.hint(item) or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
     if re.match(r"object_\d", item):
@@ -143,45 +140,6 @@ def _selects(glob: str, name: str) -> bool:
     """Whether a glob selects the parameter of a name: poses only where it names them."""
     is_pose = ".pose." in name or name.startswith("camera.")
     return fnmatchcase(name, glob) and (not is_pose or "pose" in glob or "fov" in glob)
-
-
-def _part_hint(parameters: SceneParameters, item: str) -> str:
-    """Say that the pose of a shape is that of the object that it is a part of, if it is one."""
-    shape, separator, component = item.rpartition(".pose.")
-    of = [p for p in parameters.values() if p.moves and shape in p.shapes and p.role == component]
-    if not separator or not of:
-        return ""
-    smallest = min(of, key=lambda p: len(p.shapes))
-    return (
-        f" {shape!r} is part of the object {smallest.owners[0]!r}: select {smallest.name!r}, or list it in "
-        "objects=, on the command line --object, to move it alone."
-    )
-
-
-def _material_hint(parameters: SceneParameters, owner: str) -> str:
-    """Say how the parameters of a material begin whose id is in no name: that of a shape does."""
-    wanted = owner.rstrip("*")
-    names = [
-        p.name for p in parameters.values() if wanted in p.owners and not p.name.startswith(f"{wanted}.")
-    ]
-    if not names:
-        return ""
-    first = names[0].rpartition(".")[0]
-    while first and not all(name.startswith(f"{first}.") for name in names):
-        first = first.rpartition(".")[0]
-    return f" The parameters of {wanted!r} are '{first}.*'." if first else ""
-
-
-def _shape_hint(parameters: SceneParameters, item: str) -> str:
-    """Say what the material of a shape is called, where it has a name of its own, as shared ones have."""
-    shape, _, rest = item.partition(".")
-    found = [p.name for p in parameters.values() if p.is_of_surface and shape in p.shapes and not p.problem]
-    materials = dict.fromkeys(name.partition(".")[0] for name in found)
-    if not materials or shape in materials or not rest or "pose" in rest:
-        return ""
-    listed = ", ".join(f"'{material}.*'" for material in materials)
-    meant = f"{next(iter(materials))}.{rest.removeprefix('bsdf.')}"
-    return f" The material of {shape!r} is {listed}.{near_misses(meant, found)}"
 
 
 def _camera_hint(known: Sequence[str]) -> str:
