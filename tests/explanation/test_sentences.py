@@ -327,6 +327,17 @@ def test_where_no_effect_can_be_ranked_the_changes_that_are_clear_as_rendered_ar
     ]
 
 
+def test_where_no_effect_can_be_ranked_a_light_that_is_off_and_left_out_is_named():
+    noisy = of_range(**{name: (torch.tensor(3e-3), torch.tensor(0.5)) for name in ("wall", "floor", "lamp")})
+    off = dataclasses.replace(noisy, info={**noisy.info, "lights_off": ["lamp"]})
+    first, light = lines(Explanation(off))["Too noisy to say"]
+    assert first.startswith("which of 2 parameters matter most")
+    assert light.startswith("lamp: off, and ")
+    assert "so ranked last" in light
+    (alone,) = lines(Explanation(noisy))["Too noisy to say"]
+    assert alone.startswith("which of 3 parameters matter most")
+
+
 def test_an_effect_that_may_be_chance_is_named_if_it_is_larger_than_one_that_is_stated():
     inputs = {f"a_{index}": (torch.tensor(0.01), torch.tensor(0.5)) for index in range(20)}
     found = of_range(**inputs, other=(torch.tensor(0.04), torch.tensor(0.5)))

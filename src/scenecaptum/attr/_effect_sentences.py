@@ -247,6 +247,11 @@ class EffectSentences:
             for one in self.changes
             if one.measured is not None and one.is_clear
         ]
+        # Where an effect is stated, the legend of these has the notes on lights that are not ranked.
+        last = self.attribution.ranked_last()
+        notes += [
+            note for note, whose in range_notes(self.attribution, among=last).items() if last & {*whose}
+        ]
         listed = ", ".join(f"{whose} ({effect})" for whose, effect in rendered)
         seen = f", but rendered changes are clear: {listed}" if rendered else ""
         advice = gradient_advice(self.attribution) or MORE_SAMPLES
