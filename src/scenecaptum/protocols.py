@@ -404,7 +404,7 @@ class Attribution(Protocol):
         """Return the parameters by descending saliency, those of ``ranked_last`` after the others."""
 
     def ranked_last(self, scale: Scale | None = None) -> frozenset[str]:
-        """Return the lights that are off and whose effects may be far off: no bar, and no colour on a map."""
+        """Return the parameters whose effects say little of their ranges: no bar, and no colour on a map."""
 
     def untrusted_errors(self) -> dict[str, str]:
         """Return the parameters whose standard error is unreliable, each with the reason."""

@@ -6,9 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 import torch
+from chance import allowed
 from seeds import shifted
 
 from scenecaptum import SceneAttribution, VanillaSceneGradient
+from scenecaptum.attr import checked_over_ranges
+from scenecaptum.estimation import TargetedMetric
+from scenecaptum.visualization import signed_with_error
 
 HALF = 0.05  # of the range
 SEEDS = range(8)
@@ -82,6 +86,10 @@ def attribute(renderer: Sliding, metric: object, seed: int) -> SceneAttribution:
     return VanillaSceneGradient(renderer, metric).attribute(seed=seed)
 
 
+def on_one_line(text: object) -> str:
+    return " ".join(str(text).split())
+
+
 def test_the_error_covers_a_change_that_is_not_clear_of_noise():
     for seed in SEEDS:
         found = attribute(Sliding(1.0), fourth, shifted(seed))
@@ -96,20 +104,39 @@ def test_a_large_change_that_is_clear_of_noise_is_marked(kind):
     assert row.effect == pytest.approx(TRUTH / 2, rel=0.03)
     assert row.effect_error < 0.1
     assert found.info["nonlinear"] == [row.name]
-    note = "over which fourth is not linear in the picture; the effect may be quite different"
-    assert note in " ".join(str(found).split())
-    assert note in " ".join(found.explain().text().split())
+    change, error = found.info["range_changes"][row.name]
+    assert abs(change - TRUTH) < allowed(16) * error < 0.4
+    over = "over ±0.05 units towards (0.0, 0.0, 1.0), fourth changes by"
+    note = f"over which fourth is not linear in the picture: as rendered {over} {signed_with_error(change, error)}"
+    assert note in on_one_line(found)
+    assert note in on_one_line(found.explain().text())
     other = attribute(Sliding(0.01), torch.mean, shifted())
-    assert (found - other).info["nonlinear"] == (other - found).info["nonlinear"] == [row.name]
+    for difference in (found - other, other - found):
+        assert difference.info["nonlinear"] == [row.name]
+        assert "the effect may be quite different, or in the other direction" in " ".join(
+            str(difference).split()
+        )
 
 
-@pytest.mark.parametrize("kind", [Sliding, Turning])
-def test_a_metric_that_is_linear_over_the_range_has_no_mark_and_no_larger_error(kind):
-    for seed in SEEDS:
-        (row,) = attribute(kind(0.1), torch.mean, shifted(seed)).ranking()
-        nearly = attribute(kind(0.1), lambda image: (image + 1e-3 * image**2).mean(), shifted(seed))
-        assert not nearly.info["nonlinear"]
-        assert nearly.ranking()[0].effect_error < 1.1 * row.effect_error
+def test_an_effect_that_renders_contradict_ranks_last():
+    """Of the first object the metric rises at its value, and falls over the range; of the second it rises less."""
+
+    def bent(image: torch.Tensor) -> torch.Tensor:
+        first, second = image[:4] - 1, image[4:] - 1
+        return (first - 1.5 * first**3).mean() + 0.1 * second.mean()
+
+    renderer = Sliding(0.01, objects=2)
+    found = attribute(renderer, bent, shifted())
+    bending, straight = renderer.names
+    assert found.saliency()[bending] > found.saliency()[straight]
+    assert [row.name for row in found.ranking()] == [straight, bending]
+    assert found.ranked_last() == {bending}
+    assert not found.ranked_last("unit")
+    change, error = found.info["range_changes"][bending]
+    assert abs(change + 1) < allowed(16) * error < 0.1
+    last = f"bent changes by {signed_with_error(change, error)}; so ranked last, without a bar or a colour"
+    assert last in on_one_line(found)
+    assert last in on_one_line(found.explain().text())
 
 
 def test_noise_is_not_called_a_change_beyond_first_order():
@@ -121,3 +148,32 @@ def test_noise_is_not_called_a_change_beyond_first_order():
         for seed in range(8)
     ]
     assert not any(alarms)
+
+
+def test_gradients_along_an_adjoint_get_what_the_metric_does_over_the_range():
+    renderer = Sliding(0.01)
+    image = torch.stack([renderer(renderer.inputs, seed=seed, spp=64) for seed in range(8)]).mean(0)
+    adjoint = 4 * image**3 / image.numel()
+    along = attribute(renderer, lambda image: (adjoint * image).sum(), shifted())
+    assert not along.info["nonlinear"]
+    checked, errors = checked_over_ranges(
+        along, renderer, TargetedMetric(fourth), renderer.inputs, image=image, adjoints=[adjoint] * 8, spp=64
+    )
+    (name,) = renderer.names
+    assert checked.info["nonlinear"] == [name]
+    change, error = checked.info["range_changes"][name]
+    assert abs(change - TRUTH) < allowed(16) * error
+    assert not errors
+    unclear, errors = checked_over_ranges(
+        along,
+        renderer,
+        TargetedMetric(lambda image: (image + 0.02 * (image - 1) ** 3).mean()),
+        renderer.inputs,
+        image=image,
+        adjoints=[torch.full_like(image, 1 / image.numel())] * 8,
+        spp=64,
+    )
+    assert not unclear.info["nonlinear"]
+    beyond = 0.02 * 2 / (2 * HALF)  # the cube grows from −1 to 1
+    assert errors[name].norm() == pytest.approx(beyond, rel=0.2)
+    assert unclear.ranking()[0].effect_error == pytest.approx(2 * HALF * beyond, rel=0.2)

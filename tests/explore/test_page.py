@@ -409,3 +409,15 @@ def test_everything_has_a_name_for_screen_readers(window):
             .map((one) => one.outerHTML)"""
     )
     assert nameless == []
+
+
+def test_a_slider_says_where_its_effect_does_not_hold_over_its_range(browser, monkeypatch):
+    monkeypatch.setattr(
+        "scenecaptum.explore._session.range_notes",
+        lambda attribution, among: {f"{attribution.labels[name]}: it bends": [name] for name in among},
+    )
+    renderer = SceneRenderer("cornell-box", "emitters", resolution=(16, 16), spp=16, max_depth=2)
+    with served(Exploration(renderer, metrics.MeanLuminance(), spp=16, seed=shifted())) as server:
+        window = Window(browser, server)
+        wait_for(lambda: "~ it bends" in window.slider(LAMP).inner_text())
+        window.close()

@@ -134,6 +134,18 @@ def test_an_arrow_of_which_the_edge_leaves_little_is_not_drawn() -> None:
     assert arrows(of_a_move(20, 19, (0, 1))) == []
 
 
+def test_no_arrow_where_renders_contradict_the_effect() -> None:
+    found = of_a_move(20, 10, (0, 1))
+    beside = {"lamp": torch.tensor([1.0, 1.0])}
+    extents = {**found.extents, "lamp": torch.ones(2)}
+    for change, count in ((0.6, 1), (0.4, 0), (-1.0, 0)):
+        info = {**found.info, "range_changes": {"box": (change, 0.1)}}
+        two = dataclasses.replace(
+            found, attributions={**found.attributions, **beside}, extents=extents, info=info
+        )
+        assert len(arrows(two)) == count
+
+
 def test_no_arrows_without_poses(mi: Any) -> None:
     plain = SceneRenderer("cornell-box", "floor.reflectance.value", resolution=(8, 8), spp=4)
     assert arrows(VanillaSceneGradient(plain, left_to_right).attribute(seed=shifted())) == []

@@ -507,9 +507,9 @@ def test_long_rankings_end_with_the_number_of_hidden_rows() -> None:
     lengths = {name: torch.ones(one.shape[-1:] or (1,)) for name, one in make().items()}
     ranged = dataclasses.replace(make(lights_off=["lamp"]), extents=lengths)
     text = table_text(ranged, top=2)
-    assert "… and 5 more of at most 0.090 and 1 light off" in text
+    assert "… and 5 more of at most 0.090 and 1 ranked last" in text
     assert "lamp: off, and Glare is not linear in the light" in " ".join(text.split())
-    assert "… and 1 light off; .ranking()" in table_text(ranged, top=len(ranged) - 1)
+    assert "… and 1 ranked last; .ranking()" in table_text(ranged, top=len(ranged) - 1)
 
 
 def test_many_channels_are_summarised() -> None:

@@ -59,6 +59,7 @@ from ._occlusion import OcclusionScene as OcclusionScene
 from ._perturbation import Arm as Arm
 from ._perturbation import Effect as Effect
 from ._perturbation import Perturbation as Perturbation
+from ._range_check import checked_over_ranges as checked_over_ranges
 from ._ranges import Noise as Noise
 from ._ranges import range_lengths as range_lengths
 from ._shapley_value import ShapleyValueScene as ShapleyValueScene

@@ -323,6 +323,7 @@ def make_attribution(
         None if gradients.bias is None else {n: scaled(value, scale) for n, value in gradients.bias.items()}
     )
     steps, local, nonlinear = StepErrors(), RangeErrors(), RangeErrors()
+    changes: dict[str, tuple[float, float]] = {}
     are_gradients = info.get("quantity") in (ResultKind.GRADIENT, ResultKind.MEAN_GRADIENT)
     if has_errors and bias is not None and info.get("spp") and are_gradients:
         adjoint = torch.stack(adjoints.per_replicate).mean(0)
@@ -344,14 +345,21 @@ def make_attribution(
                 adjoints=adjoints.per_replicate,
                 gradients=mean,
                 errors=errors,
-                steps=steps,
-                local=local,
+                kept={
+                    name: steps.kept_directions.get(name, 1.0)
+                    for name in (*steps.truncation, *local.errors, *local.marked)
+                    if name not in steps.jumps
+                },
+                marked=local.marked,
                 samples=samples,
                 seed=info["seed"],
             )
-        # Of the sign of the gradient: an error along its direction, of which no part cancels another.
         for over_range in (local, nonlinear) if is_at_values else ():
+            # Of the sign of the gradient: an error along its direction, of which no part cancels another.
             bias |= {n: bias[n].hypot(error).copysign(error) for n, error in over_range.errors.items()}
+        if is_at_values:
+            # Those of a camera are to first order in the picture.
+            changes = local.changes if adjoints.is_linear else nonlinear.changes
     lights_off, lights_on = lights(renderer, values)
     return SceneAttribution(
         attributions={name: scaled(value, scale) for name, value in gradients.mean.items()},
@@ -378,6 +386,7 @@ def make_attribution(
             "jumps": steps.jumps,
             "local": local.marked,
             "nonlinear": nonlinear.marked,
+            "range_changes": changes,
             "unit_ranges": unit_ranges(renderer, values),
             "lights_off": lights_off,
             "lights_on": lights_on,

@@ -275,14 +275,24 @@ class AttributionData(Mapping[str, torch.Tensor]):
         ]
 
     def ranked_last(self, scale: Scale | None = None) -> frozenset[str]:
-        """Return the lights that are off, under a metric that is not linear in the light; none if all are.
+        """Return the parameters whose effects say little of their ranges; none if all are such.
 
-        To first order, the effect of switching such a light on may be far off, even in its sign. So it ranks after
-        the others, and bars and maps leave it out. Per unit (``scale="unit"``) there are none.
+        They rank after the others, and bars and maps leave them out. These are lights that are off, under a metric
+        that is not linear in the light: to first order, the effect of switching one on may be far off, even in its
+        sign. And these are poses over whose ranges the metric, as rendered, changes by less than half of the
+        effect, or in the other direction. Per unit (``scale="unit"``) there are none.
         """
         # Only a linear metric grows with a light as its derivative at 0 says.
         off = frozenset() if self.info.get("linear_in_light") else self.lights_off(scale)
-        return off if len(off) < len(self) else frozenset()
+        last = off | self.overstated(scale)
+        return last if len(last) < len(self) else frozenset()
+
+    def overstated(self, scale: Scale | None = None) -> frozenset[str]:
+        """Return the poses over whose ranges renders show less than half of the effect; per unit none."""
+        if self.kind.in_scale(self.scale_or_default(scale)) is not ResultKind.EFFECT:
+            return frozenset()
+        effects, changes = self.saliency(scale), self.info.get("range_changes", {})
+        return frozenset(n for n, (change, _) in changes.items() if n in self and change < effects[n] / 2)
 
     def lights_off(self, scale: Scale | None = None) -> frozenset[str]:
         """Return the lights that are off, whose effects are those of switching them on; per unit none."""

@@ -157,6 +157,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info["own_ranges"] = list(dict.fromkeys(own))
     for key in ("local", "nonlinear"):
         info[key] = list(dict.fromkeys([*a.info.get(key, ()), *b.info.get(key, ())]))
+    info["range_changes"] = {}
     if not have_same_baselines(a.info, b.info):
         info["compared_with"] = "different baselines"
     delta = _minus(a.convergence_delta, b.convergence_delta)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
 
 from ..estimation import Stream, TargetedMetric, derived_seeds, render_images, student_t
 from ..protocols import Capabilities, Renderer
-from ._steps import FALSE_ALARMS, LARGEST_CHANGE, RangeErrors, StepErrors
+from ._steps import FALSE_ALARMS, LARGEST_CHANGE, RangeErrors
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -30,8 +30,8 @@ def nonlinear_poses(  # noqa: PLR0913 -- those of the result
     adjoints: Sequence[torch.Tensor],
     gradients: Tensors,
     errors: Tensors,
-    steps: StepErrors,
-    local: RangeErrors,
+    kept: Mapping[str, Sequence[float] | float],
+    marked: Collection[str],
     samples: Mapping[str, float],
     seed: int,
 ) -> RangeErrors:
@@ -41,17 +41,18 @@ def nonlinear_poses(  # noqa: PLR0913 -- those of the result
     order in these. A pixel at the edge of an object may become much brighter or darker, and a rating of glare
     depends on the square of its luminance. The metric is evaluated at the ``image`` of the result plus the
     differences to the images at both ends, which are rendered with common random numbers. ``adjoints`` are those
-    of the replicates of the result, ``steps`` the errors of the steps of the poses that have any, ``local`` those
-    over the ranges of the others, and ``samples`` the samples per pixel behind the gradients.
+    of the replicates of the result, and ``samples`` the samples per pixel behind the gradients. ``kept`` has the
+    poses that have a gradient, with 1 for each direction that counts, or 0. Those that are ``marked`` anyway get a
+    change over their range, too.
     """
     found, poses = RangeErrors(), {}
     ranges = Capabilities(renderer).ranges or {}
-    for name in [name for name in (*steps.truncation, *local.errors) if name in ranges]:
+    for name in [name for name in kept if name in ranges]:
         gradient = gradients[name].double()
-        gradient = gradient * torch.tensor(steps.kept_directions.get(name, 1.0)).to(gradient)
+        gradient = gradient * torch.tensor(kept[name]).to(gradient)
         length = gradient.norm()
         is_clear = length > UNCLEAR * (errors[name].double() * gradient / length).norm()  # not if it is 0
-        if is_clear and name not in steps.jumps:
+        if is_clear or name in marked:
             low, high = ranges[name]
             poses[name] = _Pose(name, gradient / length, high - low)
     if not poses:
@@ -62,17 +63,18 @@ def nonlinear_poses(  # noqa: PLR0913 -- those of the result
     for name, pose in poses.items():
         effect = pose.range * (gradients[name].double() * pose.direction).sum().item()
         for number, part in enumerate(PARTS):
-            change, noise = ends.beyond_first_order(
-                pose, number, max(1, math.ceil(part * samples[name] / REPLICATES))
-            )
+            beyond, whole = ends.changes(pose, number, max(1, math.ceil(part * samples[name] / REPLICATES)))
+            change, noise = beyond
             larger = max(effect, abs(effect + change))
             is_marked = not math.isfinite(change) or (
                 abs(change) > significant * noise and abs(change) > LARGEST_CHANGE * larger
             )
             if is_marked or abs(change) <= SUSPICIOUS * larger:
                 break
-        if is_marked:
+        if is_marked and name not in marked:
             found.marked.append(name)
+        if is_marked or name in marked:
+            found.changes[name] = whole
         else:
             error = math.sqrt(max(0.0, change**2 - noise**2)) / pose.range
             found.errors[name] = (error * pose.direction).to(gradients[name])
@@ -109,8 +111,8 @@ class _Ends:
         self._seed = seed
         self._unmoved: dict[tuple[int, int], torch.Tensor] = {}
 
-    def beyond_first_order(self, pose: _Pose, number: int, spp: int) -> tuple[float, float]:
-        """Return the change of the metric over the range minus that to first order, and its standard error.
+    def changes(self, pose: _Pose, number: int, spp: int) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the change of the metric over the range beyond first order, and the whole, each with its error.
 
         ``number`` tells the random numbers of one call from those of another.
         """
@@ -124,37 +126,46 @@ class _Ends:
             point = {**self._values, pose.name: self._values[pose.name] + sign * step}
             differences = self._render(point, number, spp)
             differences -= unmoved
-            image, change, adjoint = self._beyond(differences, unmoved)
+            image, both, adjoint = self._at(differences, unmoved)
             parts = [
-                self._beyond(differences[part], unmoved[part])[1] for part in (slice(half), slice(half, None))
+                self._at(differences[part], unmoved[part])[1] for part in (slice(half), slice(half, None))
             ]
-            changes.append(sign * torch.tensor([change, *parts], dtype=torch.float64))
-            rows.append(sign * torch.stack([_inner_product(adjoint, one) for one in differences]))
+            changes.append(sign * torch.tensor([both, *parts], dtype=torch.float64))
+            rows.append(
+                [
+                    sign * torch.stack([_inner_product(of, one) for one in differences])
+                    for of in (adjoint - self._adjoint, adjoint)
+                ]
+            )
             seen.append(image)
-        whole, *halves = torch.stack(changes).sum(0).tolist()
-        of_differences = max(_error_of_mean(rows[0] + rows[1]), abs(halves[0] - halves[1]) / 2)
         # The noise of the image is in the adjoints, and in the gradient.
         of_image = _error_of_mean(
             torch.stack([_inner_product(one, seen[0] - seen[1]) for one in self._adjoints])
         )
-        drift = sum(halves) / 2 - whole  # a change that is due to noise is less with more samples
-        return whole, math.hypot(of_differences, of_image, drift)
+        beyond, whole = (
+            _with_error(summed, first + second, of_image)
+            for summed, first, second in zip(torch.stack(changes).sum(0).T.tolist(), *rows, strict=True)
+        )
+        return beyond, whole
 
     def _render(self, values: Tensors, number: int, spp: int) -> torch.Tensor:
         seeds = derived_seeds(self._seed, Stream.RANGE_CHANGES, REPLICATES, number)
         return torch.stack(render_images(self._renderer, values, seeds, spp))
 
-    def _beyond(
+    def _at(
         self, differences: torch.Tensor, unmoved: torch.Tensor
-    ) -> tuple[torch.Tensor, float, torch.Tensor]:
-        """Return the image plus a mean difference, the metric there beyond first order, and its derivative."""
+    ) -> tuple[torch.Tensor, tuple[float, float], torch.Tensor]:
+        """Return the image plus a mean difference, the metric there, and its derivative.
+
+        The metric is that beyond first order, and the whole.
+        """
         difference, rest = differences.mean(0), unmoved.mean(0)
         # A difference between other images could make a dark pixel negative.
         darker = self._image * (1 + difference / rest.clamp_min(torch.finfo(rest.dtype).tiny)).clamp(0, 1)
         image = torch.where(difference < 0, darker, self._image + difference)
         value, adjoint = self._evaluate(image)
         first_order = _inner_product(self._adjoint, image - self._image).item()
-        return image, value - first_order, adjoint - self._adjoint
+        return image, (value - first_order, value), adjoint
 
     def _evaluate(self, image: torch.Tensor) -> tuple[float, torch.Tensor]:
         """Return the metric at an image without the transform, and its derivative, 0 if it has none."""
@@ -164,6 +175,14 @@ class _Ends:
 
 def _inner_product(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
     return (left.double() * right.double()).sum()
+
+
+def _with_error(changes: Sequence[float], rows: torch.Tensor, of_image: float) -> tuple[float, float]:
+    """Return a change, given with those of both halves of the samples, and its standard error."""
+    whole, *halves = changes
+    of_differences = max(_error_of_mean(rows), abs(halves[0] - halves[1]) / 2)
+    drift = sum(halves) / 2 - whole  # a change that is due to noise is less with more samples
+    return whole, math.hypot(of_differences, of_image, drift)
 
 
 def _error_of_mean(rows: torch.Tensor) -> float:

@@ -57,10 +57,13 @@ class RangeErrors:
         The poses of which the difference is large and clear of noise.
     errors
         The differences per unit of other poses, each along its own gradient.
+    changes
+        Of marked poses the change over the range in the direction of the gradient, and its error.
     """
 
     marked: list[str] = field(default_factory=list)
     errors: dict[str, torch.Tensor] = field(default_factory=dict)
+    changes: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
 def step_errors(
@@ -123,10 +126,11 @@ def local_poses(
     """Compare the gradients of poses that are exact at their values with those over their ranges.
 
     Turning a camera moves the picture by several pixels over the range. Where the metric looks at edges, as a
-    rating of glare does, or a network, the first fraction of a pixel does not say what the others do.
+    rating of glare does, or a network, the first fraction of a pixel does not say what the others do. The changes
+    are to first order in the picture.
     """
     found = RangeErrors()
-    measure = Capabilities(renderer).range_changes
+    measure, ranges = Capabilities(renderer).range_changes, Capabilities(renderer).ranges or {}
     lengths = {name: gradient.double().norm() for name, gradient in gradients.items() if name in samples}
     directions = {name: gradients[name].double() / length for name, length in lengths.items() if length > 0}
     if measure is None or not directions:
@@ -142,6 +146,8 @@ def local_poses(
         larger = torch.maximum(lengths[name], mean.abs())
         if change > significant * error and change > LARGEST_CHANGE * larger:
             found.marked.append(name)
+            low, high = ranges[name]
+            found.changes[name] = (high - low) * mean.item(), (high - low) * noise.item()
         else:
             beyond_noise = (change.square() - error.square()).clamp_min(0).sqrt()
             found.errors[name] = (beyond_noise * directions[name]).to(gradients[name])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -12,9 +11,11 @@ from ..metrics import NO_SOURCE
 from ..protocols import Attribution, RankedParameter
 from ..scene import pose_component
 from ..visualization import (
+    MOVES,
     class_doubt,
     format_with_error,
     metric_unit,
+    move,
     rounded,
     signed_with_error,
     unit_of_change,
@@ -22,7 +23,6 @@ from ..visualization import (
 from ._findings import Definition, Row
 
 _MAP_NDIM = 3
-_MOVES = {"translation": "towards", "rotation": "about"}
 
 
 def rating_in_words(
@@ -57,7 +57,7 @@ def step(change: Any) -> str:
     A map whose texels are all multiplied alike is ``"environment map × 1.25"``.
     """
     component = pose_component(change.name)
-    if component in _MOVES:
+    if component in MOVES:
         return f"{change.label.rsplit(': ', 1)[0]} {move(component, change.after - change.before)}"
     factor = _factor(change.before, change.after)
     if factor is not None:
@@ -72,26 +72,6 @@ def _factor(before: torch.Tensor, after: torch.Tensor) -> float | None:
         return None
     factor = ((old * new).sum() / old.square().sum()).item()
     return factor if torch.allclose(new, factor * old, rtol=1e-4) else None
-
-
-def move(component: str, change: torch.Tensor, up: int | None = None) -> str:
-    """Return a change of a pose in words: scene units and degrees.
-
-    With the axis that points up it says of a translation that is nearer to the vertical than to the floor that it
-    is one up or down: an object that stands on the floor cannot make it.
-    """
-    if component not in _MOVES:
-        return f"{rounded(change.sum().item())}{'°' if component == 'fov' else ' of its size'}"
-    length = change.norm().item()
-    size = f"{rounded(math.degrees(length))}°" if component == "rotation" else f"{rounded(length)} units"
-    direction = ", ".join(
-        f"{number:.1f}".replace("-0.0", "0.0").replace("-", "−")
-        for number in (change / (length or 1.0)).tolist()
-    )
-    vertical = ""
-    if component == "translation" and up is not None and abs(change[up].item()) > math.sqrt(0.5) * length:
-        vertical = ", up" if change[up] > 0 else ", down"
-    return f"{size} {_MOVES[component]} ({direction}){vertical}"
 
 
 def in_words(label: str) -> str:

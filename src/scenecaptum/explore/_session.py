@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from ..attr import rating_in_words
+from ..attr import SceneAttribution, rating_in_words
 from ..errors import SceneCaptumError, near_misses, whole_number
 from ..estimation import Metric, TargetedMetric
 from ..explanation import definition_of, photometric_premises, states_definition
@@ -20,7 +20,13 @@ from ..metrics import Measure
 from ..rendering import SceneRenderer
 from ..report import describe_objects
 from ..scene import scene_heading
-from ..visualization import automatic_exposure, format_with_error, unit_of_change
+from ..visualization import (
+    automatic_exposure,
+    findings,
+    format_with_error,
+    range_notes,
+    unit_of_change,
+)
 from ._channel import Channel
 
 MAX_NAME = 60  # characters of the name of a saved design
@@ -336,9 +342,17 @@ class Exploration:
             [data for _, data in encoded],
             **{key: getattr(slider, key) for key in ("name", "label", "form", "low", "high", "start")},
             effects=[None if row is None else [row.effect, row.effect_error] for row in rows],
+            doubts=[_doubts(attribution, slider.name) for attribution in attributions],
             gradients=[{"rows": one.rows.tolist(), "turned": one.turned.tolist()} for one in gradients],
             scales=[scale for scale, _ in encoded],
         )
+
+
+def _doubts(attribution: SceneAttribution, name: str) -> str:
+    """Return why the effect of a parameter may not hold over its range, without advice; empty if it may."""
+    label = attribution.labels.get(name, name)
+    notes = findings(range_notes(attribution, among=[name]))
+    return "; ".join(note.removeprefix(f"{label}: ") for note in notes)
 
 
 class _SupersededError(Exception):

@@ -10,7 +10,7 @@ from typing import Any
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient
+from ..attr import SceneAttribution, VanillaSceneGradient, checked_over_ranges
 from ..denoising import Guides, denoise
 from ..estimation import TargetedMetric, channel_totals, covariance_of_mean, pseudo_values
 from ..projection import SurfaceMap
@@ -21,6 +21,7 @@ from ._sliders import Design, Place, Slider
 
 GRADIENT_REPLICATES = 8
 GRADIENT_SPP = 8
+RANGE_SPP = 256  # a quarter or half of them at each end of the range of a pose
 PICTURE_NOISE_SPP = 2  # of the gradients along the noise of an adjoint, which need only be known roughly
 _ROUNDING = 1e-4  # what the adjoints of a linear metric may differ by, relative to the largest
 _COMMON = 0.999  # of the pixels decide how far a derivative is below zero
@@ -35,8 +36,8 @@ class Gradient:
     rows
         Independent estimates, ``(replicates, numbers of the slider)``.
     turned
-        Standard error that all of them share, because their adjoint has the noise of a picture, with the sign that
-        it has for all sliders: ``(numbers,)``.
+        Standard error that all of them share, with the sign that it has for all sliders: ``(numbers,)``. Their
+        adjoint has the noise of a picture, and over the range of a pose the metric may not be linear.
     """
 
     rows: torch.Tensor
@@ -83,6 +84,9 @@ class Linearization:
         self.designs, self.start = designs, start
         self.attributions: list[SceneAttribution] = []
         self._adjoints: list[torch.Tensor] = []  # of each metric: of all images, and of two halves of them
+        self._beyond: dict[
+            int, dict[str, torch.Tensor]
+        ] = {}  # of each metric: errors of poses over their ranges
         self._derived: dict[str, Derivative] = {}
 
     def rank(self) -> None:
@@ -106,10 +110,30 @@ class Linearization:
             replicates=GRADIENT_REPLICATES,
         )
         found = [
-            one if noise is None else self._with_picture_noise(one, noise)
-            for one, noise in zip(found, deviations, strict=True)
+            one if noise is None else self._over_ranges(number, self._with_picture_noise(one, noise), noise)
+            for number, (one, noise) in enumerate(zip(found, deviations, strict=True))
         ]
         self.attributions = [self._as_measured(number, one) for number, one in enumerate(found)]
+
+    def _over_ranges(
+        self, number: int, attribution: SceneAttribution, noise: torch.Tensor
+    ) -> SceneAttribution:
+        """Return an attribution of a metric that is not linear, with what this does over the ranges of poses."""
+        designs, start = self.designs, self.start
+        metric = designs.metrics_of(start.design)[number]
+        if metric.is_smoothed:  # with hundreds of draws for each value, this would take longer than the rest
+            return attribution
+        values = designs.values(start.design)
+        checked, self._beyond[number] = checked_over_ranges(
+            attribution,
+            _Pausing(designs.renderer, designs.pause),
+            metric,
+            {name: values[name] for name in designs.inputs},
+            image=start.image,
+            adjoints=list(noise + self._adjoints[number][0]),
+            spp=RANGE_SPP,
+        )
+        return checked
 
     def _adjoint_noise(self, metric: TargetedMetric, adjoint: torch.Tensor) -> torch.Tensor | None:
         """Return the pseudo-values of an adjoint minus itself, ``(images, H, W, 3)``; None if it has no noise."""
@@ -199,6 +223,10 @@ class Linearization:
             products = products[:, :, 0] if slider.by_channel else products.sum(-1)
             rows = known[number]
             turned = (products[1] - products[2]).mean(0) / 2
+            beyond = self._beyond.get(number, {}).get(slider.name)
+            if beyond is not None:
+                along = beyond.double().reshape(-1)  # the slider of a pose has its numbers
+                turned = turned + (along if turned @ along >= 0 else -along)
             gradients.append(Gradient(products[0] if rows is None else rows, turned))
         guides = self.designs.renderer.guides_of(self.designs.values(self.start.design))
         denoised = torch.stack([_denoise_signed(one, guides) for one in images.mean(1)])

@@ -54,8 +54,9 @@ def heatmap(
     materials, emitters and media; for an attribution to groups, over the groups that contain any of these. A map
     of light is left out beside its ``scale``, whose effect is that of all its light. The heatmap
     is normalized by the largest saliency of any object, parameter or group, visible or not. It never exceeds 1,
-    and its maximum is below 1 if the most salient object is not visible. Lights that rank last (``ranked_last``)
-    have no colour. Figures, ``export`` and the report show this heatmap, on the same default scale.
+    and its maximum is below 1 if the most salient object is not visible. Parameters that rank last
+    (``ranked_last``) have no colour. Figures, ``export`` and the report show this heatmap, on the same default
+    scale.
 
     Parameters
     ----------
@@ -261,9 +262,9 @@ def mapped_parameters(
 
 
 def _colored(attribution: Attribution, parameter: Names, scale: Scale | None) -> list[str]:
-    """Return the selected parameters that have a colour, without poses that jump and lights that rank last.
+    """Return the selected parameters that have a colour, without poses that jump and what ranks last.
 
-    A map of nothing but such lights shows them.
+    A map of nothing else shows this.
     """
     jumps, last = attribution.info.get("jumps", {}), attribution.ranked_last(scale)
     selected = [name for name in _select(attribution, parameter) if name not in jumps]

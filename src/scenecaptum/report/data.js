@@ -143,7 +143,7 @@ function signWords(result, sign, row) {
 /** A mark that says a parameter's sign by shape and by colour; variances and the like have none. */
 function signMark(row, result) {
   if (!result.signs) return null;
-  if (!row.saliency) return make("span", { class: "sign" });
+  if (!row.saliency || row.isLast) return make("span", { class: "sign" });
   const [mark, kind] = SIGNS[row.sign];
   const words = signWords(result, row.sign, row);
   return make("span", { class: `sign ${kind}`, title: words, role: "img", "aria-label": words }, mark);

@@ -62,6 +62,8 @@ from ._maps import is_denoised as is_denoised
 from ._maps import plot_heatmap as plot_heatmap
 from ._maps import plot_overlay as plot_overlay
 from ._maps import shown_render as shown_render
+from ._moves import MOVES as MOVES
+from ._moves import move as move
 from ._notes import baseline_notes as baseline_notes
 from ._notes import caution_groups as caution_groups
 from ._notes import caution_marks as caution_marks

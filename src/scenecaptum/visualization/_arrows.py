@@ -29,17 +29,17 @@ class Arrow(NamedTuple):
 
 
 def arrows(attribution: Attribution) -> list[Arrow]:
-    """Return an arrow for each translation with a clear effect.
+    """Return an arrow for each translation with a clear effect, but not for what ranks last.
 
     It points to where the metric rises, as far as the picture shows that direction. Its length is proportional to
     the root of the effect, as the colours of the map, unless it ends at the picture's edge.
     """
     shown, image = attribution.info.get("shown_moves") or {}, attribution.image
-    allowed = clear_from(attribution.info)
+    allowed, last = clear_from(attribution.info), attribution.ranked_last()
     rows = [
         row
         for row in attribution.ranking()
-        if row.name in shown and row.effect > allowed * (row.effect_error or 0.0)
+        if row.name in shown and row.name not in last and row.effect > allowed * (row.effect_error or 0.0)
     ]
     if not rows or image is None:
         return []

@@ -69,8 +69,8 @@ def plot_bars(
     contributions, whether the parameter adds to the metric or takes from it. Bars are grey if the effect is less
     than two standard errors from zero, or if its errors have fewer than 7 degrees of freedom and its interval at
     95 % (Student's t) contains 0: 8 replicates of a gradient have 7, those of several points may have fewer.
-    Gradients per unit, whose channels have no common sign, are shown by their norm. A light
-    that is off and ranks last has its number in place of a bar.
+    Gradients per unit, whose channels have no common sign, are shown by their norm. What
+    ranks last has its number in place of a bar.
 
     Parameters
     ----------

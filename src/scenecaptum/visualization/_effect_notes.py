@@ -9,7 +9,9 @@ from ..projection import light_maps_left_out
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ..student import clear_from
 from ._layout import first_few
-from ._text import LARGE_ERROR, OF_DIFFERENCES, advised, metric_symbol
+from ._moves import move
+from ._numbers import signed_with_error
+from ._text import LARGE_ERROR, OF_DIFFERENCES, advised, metric_symbol, metric_unit, unit_of_change
 
 _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 # Below these, Mitsuba's microfacets have α = 1e-4; those of a principled material, α = roughness², have 1e-3.
@@ -36,7 +38,7 @@ def range_notes(
             **_off_notes(attribution, shown),
             **_light_notes(attribution, scale, shown),
             **_contradicted_notes(attribution, shown),
-            **_local_notes(attribution, shown),
+            **_local_notes(attribution, scale, shown),
         }
     return notes
 
@@ -163,22 +165,49 @@ def _contradicted_notes(attribution: Attribution, shown: Sequence[str]) -> dict[
     return {note: names for note, names in of_shown.items() if names}
 
 
-def _local_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
-    """Return notes on the poses whose gradients do not hold over their ranges, of a camera and of objects."""
+def _local_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return notes on the poses whose gradients do not hold over their ranges, of a camera and of objects.
+
+    They say by how much the metric changes there, where renders do, and which poses rank last for it.
+    """
     reasons = {
         "local": "the picture moves by several pixels",
         "nonlinear": f"{metric_symbol(attribution)} is not linear in the picture",
     }
+    changes, last = attribution.info.get("range_changes", {}), attribution.ranked_last(scale)
     notes = {}
     for key, reason in reasons.items():
         names = [name for name in attribution.info.get(key, ()) if name in shown]
-        if names:
+        does_not_hold = f"the gradient at this value does not hold over the range, over which {reason}"
+        unknown = [name for name in names if name not in changes]
+        if unknown:
             note = (
-                f"{_named(attribution, names)}: the gradient at this value does not hold over its range, over "
-                f"which {reason}; the effect may be quite different"
+                f"{_named(attribution, unknown)}: {does_not_hold}; the effect may be quite different, or in the "
+                "other direction"
             )
-            notes[advised(note, RENDER, ": ")] = names
+            notes[advised(note, RENDER, ": ")] = unknown
+        for is_last, consequence in ((True, "; so ranked last, without a bar or a colour"), (False, "")):
+            known = [name for name in names if name in changes and (name in last) == is_last]
+            if known:
+                numbers = _changes_over_range(attribution, known)
+                notes[f"{_named(attribution, known)}: {does_not_hold}: {numbers}{consequence}"] = known
     return notes
+
+
+def _changes_over_range(attribution: Attribution, names: Sequence[str]) -> str:
+    """Return ``"as rendered over ±0.05 units towards (0, 0.6, −0.8), UGR changes by −0.71 ± 0.12"``."""
+    unit, effects = f" {unit_of_change(metric_unit(attribution))}".rstrip(), attribution.effects()
+    changes = [
+        # That of a number is in the direction in which it increases.
+        f"{signed_with_error(math.copysign(1.0, effects[name]) * change, error)}{unit}"
+        for name, (change, error) in attribution.info["range_changes"].items()
+        if name in names
+    ]
+    over = "over the ranges, each in the direction of its effect"
+    if len(names) == 1:
+        half = attribution.weights()[names[0]] / 2
+        over = f"over ±{move(names[0].rpartition('.')[2], half, attribution.info.get('up'))}"
+    return f"as rendered {over}, {metric_symbol(attribution)} changes by {first_few(changes)}"
 
 
 def _roughness_notes(

@@ -29,7 +29,7 @@ from ._notes import (
     untrusted_groups,
 )
 from ._numbers import Format, align_decimals, align_with_errors, columns, cut, pad, shorten, with_error
-from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, pluralize, rating
+from ._text import axis_label, count_of, hidden_of, method_name, metric_line, pack, rating
 
 DEFAULT_ROWS = 40
 _MAX_CHANNELS = 4
@@ -211,8 +211,8 @@ def _table(
 def _rest(hidden: Sequence[RankedParameter], last: Collection[str]) -> str:
     """Return how many rows are not shown, and how large they are; those that rank last may be larger."""
     smaller = [row for row in hidden if row.name not in last]
-    off = len(hidden) - len(smaller)
-    parts = [f"{pluralize(off, 'light')} off"] if off else []
+    ranked_last = len(hidden) - len(smaller)
+    parts = [f"{ranked_last} ranked last"] if ranked_last else []
     if smaller:
         largest = with_error(smaller[0].saliency, smaller[0].saliency_error)[0]
         parts.insert(0, f"{len(smaller)} more of at most {largest}")

@@ -469,7 +469,9 @@ class Page {
       row.effect.dataset.sign = Math.sign(own ? own.change : (over?.[0] ?? 0));
       row.number.textContent = placeText(slider.form, this.place(slider));
       const other = this.leads(slider);
+      const doubts = slider.doubts[this.metric];
       row.leads.textContent = other === null ? "" : `leads for ${this.scene.metrics[other].title}`;
+      row.doubts.textContent = doubts ? `~ ${doubts}` : "";
     }
   }
 
@@ -479,9 +481,9 @@ class Page {
       const all = [...this.sliders.values()].map((one) => Math.abs(one.effects[metric]?.[0] ?? 0));
       return Math.abs(effects[metric]?.[0] ?? 0) / Math.max(...all, 1e-30);
     };
-    const [effect, error] = effects[this.metric] ?? [0, 0];
-    if (share(this.metric) >= NOTABLE && Math.abs(effect) > CLEAR * error) return null;
-    const others = effects.map((_, metric) => metric).filter((metric) => metric !== this.metric);
+    const isClear = (metric) => Math.abs(effects[metric]?.[0] ?? 0) > CLEAR * (effects[metric]?.[1] ?? 0);
+    if (share(this.metric) >= NOTABLE && isClear(this.metric)) return null;
+    const others = effects.map((_, metric) => metric).filter((metric) => metric !== this.metric && isClear(metric));
     const most = Math.max(...others.map(share));
     return most >= NOTABLE ? others.find((metric) => share(metric) === most) : null;
   }
@@ -708,6 +710,7 @@ class Page {
     row.effect = make("output", { class: "effect" });
     row.number = make("span", { class: "number" });
     row.leads = make("span", { class: "muted" });
+    row.doubts = make("p", { class: "muted" });
     const back = button(
       "×",
       () => {
@@ -728,6 +731,7 @@ class Page {
       ),
       ...controls,
       row.number,
+      row.doubts,
     );
     row.place = place;
     place(this.place(slider));
