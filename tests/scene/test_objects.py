@@ -15,6 +15,10 @@ def test_objects_of_shapes() -> None:
         "desk": "desk",
     }
     assert set(stems(["chair_1_seat", "chair_1_leg", "chair_2_seat"]).values()) == {"chair_1", "chair_2"}
+    # As shapes without a name of their own are numbered.
+    unnamed = ["rectangle", "rectangle_2", "rectangle_3"]
+    assert list(stems(unnamed).values()) == unnamed
+    assert set(stems([*unnamed, "rectangle_frame"]).values()) == {"rectangle"}
     lamps = ["lamp_left", "lamp_left_rod", "lamp_right", "lamp_right_rod_a"]
     assert list(stems(lamps).values()) == ["lamp_left", "lamp_left", "lamp_right", "lamp_right"]
     assert set(stems(["lamp_foot", "lamp_foot_top", "lamp_arm"]).values()) == {"lamp"}

@@ -150,9 +150,9 @@ def stems(names: Iterable[str]) -> dict[str, str]:
     """Return the object of each shape, from the names of all shapes.
 
     This is the first word of the name: ``chair_seat`` and ``chair_leg_2`` belong to ``chair``. Shapes with the
-    same first word are divided further where that works for all of them: into ``chair_1`` and ``chair_2`` if all
-    have a number next, and into ``lamp_left`` and ``lamp_right`` if the name of each begins with that of one of
-    them.
+    same first word are divided further where that works for all of them: into ``chair_1`` and ``chair_2``, or
+    ``chair`` and ``chair_2``, if all have a number or nothing next, and into ``lamp_left`` and ``lamp_right`` if the
+    name of each begins with that of one of them.
     """
     by_word: dict[str, list[str]] = {}
     for name in names:
@@ -169,8 +169,8 @@ def _divide(names: Sequence[str]) -> dict[str, str]:
         for name, parts in words.items()
     }
     counts = dict.fromkeys(names, 1)
-    if all(len(parts) > 1 and parts[1].isdigit() for parts in words.values()):
-        counts = dict.fromkeys(names, 2)
+    if all(len(parts) == 1 or parts[1].isdigit() for parts in words.values()):
+        counts = {name: min(2, len(parts)) for name, parts in words.items()}
     elif None not in owners.values():
         counts = {name: len(owner) for name, owner in owners.items() if owner is not None}
     spelled: dict[tuple[str, ...], str] = {}
