@@ -288,7 +288,7 @@ CASES: dict[str, Case] = {
     ),
     "render": (
         f"render cornell-box {VIEW} {BOXES} --sensor 0 --set {WALL}=0.5 --set boxes.pose.translation=0.1,0,0 "
-        "--design design.json --denoise --to out/after.png",
+        "--design design.json --denoise --no-progress --to out/after.png",
         0,
         ["out/after.png"],
         ["after.png"],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -34,6 +36,11 @@ CLASSROOM_MATERIALS = {
     *("ceiling", "floor", "wall_windows", "wall_front", "wall_back", "wall_corridor"),
     *("ground", "pane", "window_frame", "cloth", "desk", "chair", "board", "door"),
 }
+
+
+def test_a_scene_needs_no_variant_to_be_set_before() -> None:
+    script = "from scenecaptum.scene import bundled; bundled.office(); bundled.classroom()"
+    subprocess.run([sys.executable, "-c", script], check=True)
 
 
 @pytest.fixture(scope="module")

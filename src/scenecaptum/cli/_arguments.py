@@ -166,6 +166,15 @@ def moving_object(text: str) -> tuple[str, list[str]]:
     return name, shapes.split(",")
 
 
+def add_no_progress(parser: argparse.ArgumentParser) -> None:
+    """Add the option for a command without a progress bar, so that scripts can give it to every command."""
+    parser.add_argument(
+        "--no-progress",
+        action="store_true",
+        help="accepted as by the other commands; there is no progress bar",
+    )
+
+
 def shows_progress(options: argparse.Namespace) -> bool:
     """Whether to show a progress bar: on a terminal, unless disabled."""
     return sys.stderr.isatty() and not options.no_progress

@@ -52,11 +52,7 @@ def add(commands: Any) -> None:
         metavar="FILE",
         help="write the predictions to an HTML file, which needs no server, instead of opening a page",
     )
-    parser.add_argument(
-        "--no-progress",
-        action="store_true",
-        help="accepted as by the other commands; there is no progress bar",
-    )
+    _arguments.add_no_progress(parser)
     parser.set_defaults(run=run)
 
 

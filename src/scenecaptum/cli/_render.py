@@ -27,6 +27,7 @@ def add(commands: Any) -> None:
     )
     _arguments.add_view(parser)
     add_design(parser)
+    _arguments.add_no_progress(parser)
     parser.add_argument("--denoise", action="store_true", help="denoise the picture (Open Image Denoise)")
     parser.add_argument(
         "--to",

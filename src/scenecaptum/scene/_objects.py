@@ -151,8 +151,8 @@ def stems(names: Iterable[str]) -> dict[str, str]:
 
     This is the first word of the name: ``chair_seat`` and ``chair_leg_2`` belong to ``chair``. Shapes with the
     same first word are divided further where that works for all of them: into ``chair_1`` and ``chair_2``, or
-    ``chair`` and ``chair_2``, if all have a number or nothing next, and into ``lamp_left`` and ``lamp_right`` if the
-    name of each begins with that of one of them.
+    ``chair`` and ``chair_2``, if all have a number or nothing next, and into ``lamp_left`` and ``lamp_right`` if
+    the name of each begins with that of one of them.
     """
     by_word: dict[str, list[str]] = {}
     for name in names:

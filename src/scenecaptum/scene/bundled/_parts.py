@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ...backend import activate
+
 Plugin = dict[str, Any]
 Vector = Sequence[float]
 
@@ -17,7 +19,7 @@ def base(
     *, resolution: tuple[int, int], origin: Vector, target: Vector, fov: float, max_depth: int = 6
 ) -> Plugin:
     """Return paths of ``max_depth`` segments, and a camera of ``fov`` degrees with 64 samples per pixel."""
-    import mitsuba as mi
+    mi = activate()
 
     sensor = {
         "type": "perspective",
@@ -60,7 +62,7 @@ def metal(element: str, *, roughness: float) -> Plugin:
 
 def textured(texels: npt.NDArray[np.float32], *, filter_type: str) -> Plugin:
     """Return a diffuse material with the linear reflectance ``texels`` (H, W, 3), stored as float32."""
-    import mitsuba as mi
+    mi = activate()
 
     texture = {
         "type": "bitmap",
@@ -84,7 +86,7 @@ def shape(kind: str, material: str | Plugin, **options: Any) -> Plugin:
 
 def panel(centre: Vector, u: Vector, v: Vector, material: str | Plugin) -> Plugin:
     """Return the rectangle with edges ``u`` and ``v``; it faces along u × v."""
-    import mitsuba as mi
+    mi = activate()
 
     matrix = np.eye(4)
     matrix[:3, 0], matrix[:3, 1], matrix[:3, 3] = np.array(u) / 2, np.array(v) / 2, centre
@@ -94,7 +96,7 @@ def panel(centre: Vector, u: Vector, v: Vector, material: str | Plugin) -> Plugi
 
 def box(centre: Vector, size: Vector, material: str, *, turn: float = 0.0) -> Plugin:
     """Return a box with the given edge lengths, rotated by ``turn`` degrees about the vertical."""
-    import mitsuba as mi
+    mi = activate()
 
     place = mi.ScalarTransform4f().translate(centre).rotate((0, 0, 1), turn)
     return shape("cube", material, to_world=place.scale([edge / 2 for edge in size]))
@@ -115,7 +117,7 @@ def ball(centre: Vector, radius: float, material: str) -> Plugin:
 
 def disk(centre: Vector, facing: Vector, radii: tuple[float, float], material: str) -> Plugin:
     """Return an ellipse with semi-axes ``radii``; the second lies in the vertical plane through ``facing``."""
-    import mitsuba as mi
+    mi = activate()
 
     up = (0, 0, 1) if facing[0] or facing[1] else (0, 1, 0)
     place = mi.ScalarTransform4f().look_at(origin=centre, target=offset(centre, facing, 1.0), up=up)
