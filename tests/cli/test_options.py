@@ -761,6 +761,13 @@ def test_a_design_stays_fixed_unless_the_inputs_select_it(
     assert again["value"] == pytest.approx(reached["after"]["value"], abs=4 * error)
 
 
+def test_a_part_of_what_a_design_turns_is_selected_with_its_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    objects = "--object 'boxes=short_box_shape,tall_box_shape' --object tall=tall_box_shape"
+    turned = f"attribute cornell-box {VIEW} {objects} --inputs tall.pose.translation --metric luminance"
+    assert cli.main(shlex.split(f"{turned} --set boxes.pose.rotation=0,0,0.2")) == 2
+    assert "select both, with --inputs boxes.pose.rotation" in capsys.readouterr().err
+
+
 def test_set_takes_precedence_over_the_design(folder: Path) -> None:
     for name, more in (("design", ""), ("set", f"--set {WALL}=0.9"), ("alone", "")):
         design = "" if name == "alone" else "--design design.json"

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from ..designs import CHANGES, design_of, read_design
+from ..errors import SceneCaptumError
 from ..rendering import SceneRenderer
 from ..scene import pose_component, select
 from ._once import Once, named_once
@@ -72,11 +73,27 @@ def fixed_values(
 ) -> dict[str, torch.Tensor]:
     """Return what the settings change beside the renderer's inputs: values that stay fixed."""
     inputs, values = renderer.inputs, whole_design(options, renderer, settings)
-    return {
+    fixed = {
         name: value
         for name, value in values.items()
         if name not in inputs and not torch.equal(value, renderer.own_value(name))
     }
+    _check_parts(renderer, fixed)
+    return fixed
+
+
+def _check_parts(renderer: SceneRenderer, fixed: Collection[str]) -> None:
+    """Raise if a whole is turned for good, and a part of it is to move: the axes of a part turn with its whole."""
+    shapes = {name: set(one.shapes) for name, one in renderer.parameters.items() if pose_component(name)}
+    for whole in fixed:
+        parts = [
+            name for name in renderer.inputs if name in shapes and shapes[name] < shapes.get(whole, set())
+        ]
+        if parts and pose_component(whole) in ("rotation", "scale"):
+            raise SceneCaptumError(
+                f"The design sets {whole!r}, and {parts[0]!r} moves a part of it along axes that the whole turns: "
+                f"select both, with --inputs {whole}."
+            )
 
 
 class _Settable:
