@@ -201,9 +201,12 @@ class Linearization:
         last: set[str] = set()
         for attribution in self.attributions:
             last |= attribution.ranked_last()
-            rows = [row for row in attribution.ranking() if row.name in self.designs.sliders and row.saliency]
+            # What is lost in the noise comes after all that is not; what has no effect at all is left out.
+            rows = [row for row in attribution.ranking() if row.name in self.designs.sliders]
+            most = max((row.saliency for row in rows), default=0.0) or 1.0
             for row in rows:
-                best[row.name] = max(best.get(row.name, 0.0), row.saliency / rows[0].saliency)
+                if row.saliency or row.saliency_error:
+                    best[row.name] = max(best.get(row.name, 0.0), row.saliency / most)
         return sorted(best, key=lambda name: (name in last, -best[name]))[:count]
 
     def derive(self, slider: Slider) -> Derivative:

@@ -28,6 +28,10 @@ LOBE_OFFSET = 1e-3
 # value. These lobes are sampled whatever their transmission, so float32 alone limits how small it may be.
 SPECULAR_OFFSET = 1e-5
 
+# In texels where the weight of a lobe is 0 or 1, one lobe is never sampled. The slope at these distances is used
+# instead. It is one of a scene of its own: in that of the other parameters, what is opaque must let no light pass.
+TEXEL_OFFSET = 0.02
+
 JUST_ABOVE_ONE = 1.001
 
 # Up to this α of the microfacets the derivative of path replay is so noisy that light tracing from the surface is
@@ -74,6 +78,7 @@ class DerivativeRoute:
     reason: str | None  # why path replay is not used; None where it is
     is_low_roughness: bool  # whether light tracing has less noise than path replay
     is_constant: bool  # whether the image does not depend on the parameter
+    has_own_scene: bool = False  # whether other parameters must not be differentiated at its replay value
 
 
 Routes = Mapping[str, DerivativeRoute]
@@ -90,12 +95,18 @@ def _derivative_route(parameter: Parameter, values: Values) -> DerivativeRoute:
     value = values[parameter.name]
     is_constant = _is_constant(parameter, values)
     reason = None if is_constant else _reason_against_replay(parameter, values)
+    has_own_scene = value.ndim > 1 and not is_constant and _lobe_switched_off(parameter, values)
+    replay_value = value if reason else _clamp_off_singularity(parameter, value)
+    if has_own_scene:
+        low, high = parameter.bounds.low + TEXEL_OFFSET, parameter.bounds.high - TEXEL_OFFSET
+        replay_value = value.clamp(low, high)
     return DerivativeRoute(
-        replay_value=value if reason else _clamp_off_singularity(parameter, value),
+        replay_value=replay_value,
         difference=_finite_difference(parameter, value) if reason else None,
         reason=reason,
         is_low_roughness=_is_low_roughness(parameter, value),
         is_constant=is_constant,
+        has_own_scene=has_own_scene,
     )
 
 
@@ -119,6 +130,14 @@ def uncorrected_routes(
 def replayed_names(routes: Routes) -> list[str]:
     """Return the parameters that are differentiated by path replay or light tracing."""
     return [name for name, route in routes.items() if route.difference is None and not route.is_constant]
+
+
+def by_scene(routes: Routes, names: Iterable[str]) -> list[list[str]]:
+    """Divide replayed parameters into those that are differentiated in one scene, and each that has its own."""
+    names = list(names)
+    alone = [name for name in names if routes[name].has_own_scene]
+    shared = [name for name in names if name not in alone]
+    return [*([shared] if shared else []), *([name] for name in alone)]
 
 
 def low_roughness_names(routes: Routes) -> list[str]:

@@ -25,6 +25,7 @@ from ._derivative_routes import (
     DIFFERENCE_SPP_DIVISOR,
     FiniteDifference,
     Routes,
+    by_scene,
     derivative_routes,
     pose_difference,
     replayed_names,
@@ -167,8 +168,9 @@ class Engine:
         replayed = {name: tangents[name] for name in replayed_names(routes)}
         width, height = self._live.resolution
         image = torch.zeros((height, width, 3), device=self._live.device)
-        if replayed:
-            image = image + self._replay_forward(values, routes, replayed, seed, spp)
+        for names in by_scene(routes, replayed):
+            tangents_of = {name: replayed[name] for name in names}
+            image = image + self._replay_forward(values, routes, tangents_of, seed, spp)
         for name in [name for name in routes if name not in replayed]:
             difference = routes[name].difference
             assert difference is not None
@@ -328,7 +330,10 @@ class Engine:
                 self._live.scene, image, opaque_seed(chunk), chunk.spp, self._live.state.scalars
             )
 
-        return self._replay(replay, values, routes, replayed_names(routes), self._chunks(seed, spp))
+        gradients: dict[str, torch.Tensor] = {}
+        for names in by_scene(routes, replayed_names(routes)):
+            gradients |= self._replay(replay, values, routes, names, self._chunks(seed, spp))
+        return gradients
 
     def _replay_sampled_pixels(
         self, values: Snapshot, routes: Routes, group: ReplayGroup, adjoint: torch.Tensor, seed: int, spp: int
@@ -374,7 +379,8 @@ class Engine:
             return _sum(evaluate(difference(chunk, moved)) for chunk in self._chunks(seed, spp))
 
         # The scene is that of path replay, so that its textures are not written twice in each backward pass.
-        scene = values.replace(_replay_values(routes, replayed_names(routes)))
+        shared = [name for name in replayed_names(routes) if not routes[name].has_own_scene]
+        scene = values.replace(_replay_values(routes, shared))
         # Of the three channels of each parameter, all of which are numbers.
         gradients = self._live.call(differentiate, scene).reshape(-1, 3).sum(1)
         return dict(zip(names, gradients, strict=True))

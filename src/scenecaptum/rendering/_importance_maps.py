@@ -15,7 +15,7 @@ from ..projection import SurfaceMap
 from ..scene import SceneParameters
 from ._backward import FilmFilter, film_filter
 from ._bridge import call_with_torch, evaluate
-from ._derivative_routes import Routes, low_roughness_names, replayed_names
+from ._derivative_routes import Routes, by_scene, low_roughness_names, replayed_names
 from ._frozen import make_kernels
 from ._live_scene import LiveScene, Values
 from ._plan import RenderPlan
@@ -64,16 +64,17 @@ class ImportanceMaps:
             return film_filter(self.live.sensor.film())
 
     def groups(self, values: Values, routes: Routes) -> list[ReplayGroup]:
-        """Divide the replayed parameters into groups: low roughnesses that are light traced, and the others."""
+        """Divide the replayed parameters into groups: low roughnesses that are light traced, and the others.
+
+        What has a scene of its own is a group of its own.
+        """
         names, low_roughness = replayed_names(routes), low_roughness_names(routes)
         shapes = self._find_sampled_shapes(tuple(low_roughness)) if self.film and low_roughness else None
-        if shapes is None:
-            return [ReplayGroup(names, self.find_maps(values, names, None), None)]
-        rest = [name for name in names if name not in low_roughness]
-        return [
-            ReplayGroup(rest, self.find_maps(values, rest, None), None),
-            ReplayGroup(low_roughness, self.find_maps(values, low_roughness, shapes), shapes),
-        ]
+        rest = [name for name in names if shapes is None or name not in low_roughness]
+        groups = [ReplayGroup(one, self.find_maps(values, one, None), None) for one in by_scene(routes, rest)]
+        if shapes is not None:
+            groups.append(ReplayGroup(low_roughness, self.find_maps(values, low_roughness, shapes), shapes))
+        return groups
 
     def _find_sampled_shapes(self, names: tuple[str, ...]) -> SampledShapes | None:
         with self.live.exclusive():

@@ -183,8 +183,12 @@ class Pilots:
             routes = derivative_routes(self.parameters, {**self.live.original, **values}, tracked)
             film = self.importance_maps.film
             magnitude = film.rms_adjoint(adjoint) if film else adjoint.norm(dim=-1)
-            replayed, *light_traced = self.importance_maps.groups(values, routes)
-            sampled = pixel_probabilities(magnitude, replayed.maps) * (width * height * spp)
+            groups = self.importance_maps.groups(values, routes)
+            sampled = {
+                name: pixel_probabilities(magnitude, group.maps) * (width * height * spp)
+                for group in groups
+                for name in group.names
+            }
             pilot = self._run(
                 max(1, min(PILOT_FACTOR * spp * replicates, MAX_PILOT_SAMPLES // (width * height)))
             )
@@ -196,8 +200,8 @@ class Pilots:
             )
         weights = magnitude.cpu().double().numpy().ravel()
         samples = dict.fromkeys(tracked, np.full_like(weights, difference_spp))
-        samples |= dict.fromkeys(replayed.names, sampled) | dict.fromkeys(moved, moved_samples)
-        left_out = {name for group in light_traced for name in group.names}
+        samples |= sampled | dict.fromkeys(moved, moved_samples)
+        left_out = {name for group in groups if group.light_traced for name in group.names}
         found = {
             name: pilot.cumulants(name, weights, replicates * samples[name])
             for name in tracked

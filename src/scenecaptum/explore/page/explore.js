@@ -476,14 +476,14 @@ class Page {
   }
 
   /** Return the metric for which a slider was chosen, if it does next to nothing to the one that is shown. */
-  leads({ effects }) {
+  leads({ effects, doubts }) {
     const share = (metric) => {
       const all = [...this.sliders.values()].map((one) => Math.abs(one.effects[metric]?.[0] ?? 0));
       return Math.abs(effects[metric]?.[0] ?? 0) / Math.max(...all, 1e-30);
     };
     const isClear = (metric) => Math.abs(effects[metric]?.[0] ?? 0) > CLEAR * (effects[metric]?.[1] ?? 0);
     if (share(this.metric) >= NOTABLE && isClear(this.metric)) return null;
-    const others = effects.map((_, metric) => metric).filter((metric) => metric !== this.metric && isClear(metric));
+    const others = effects.map((_, metric) => metric).filter((metric) => metric !== this.metric && isClear(metric) && !doubts[metric]);
     const most = Math.max(...others.map(share));
     return most >= NOTABLE ? others.find((metric) => share(metric) === most) : null;
   }
