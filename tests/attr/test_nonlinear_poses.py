@@ -9,7 +9,7 @@ import torch
 from chance import allowed
 from seeds import shifted
 
-from scenecaptum import SceneAttribution, VanillaSceneGradient
+from scenecaptum import SceneAttribution, VanillaSceneGradient, metrics
 from scenecaptum.attr import checked_over_ranges
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.visualization import signed_with_error
@@ -148,6 +148,14 @@ def test_noise_is_not_called_a_change_beyond_first_order():
         for seed in range(8)
     ]
     assert not any(alarms)
+
+
+def test_an_exact_gradient_of_a_smoothed_metric_says_that_its_range_is_not_tested():
+    smoothed = metrics.Smoothed(fourth, 0.1)
+    found = attribute(Turning(0.01), smoothed, shifted())
+    assert "not tested over the range, over which the picture moves by several pixels" in on_one_line(found)
+    moved = attribute(Sliding(0.01), smoothed, shifted())
+    assert "not tested" not in on_one_line(moved)
 
 
 def test_gradients_along_an_adjoint_get_what_the_metric_does_over_the_range():

@@ -387,6 +387,7 @@ def make_attribution(
             "local": local.marked,
             "nonlinear": nonlinear.marked,
             "range_changes": changes,
+            "untested": list(local.errors) if metric.is_smoothed else [],
             "unit_ranges": unit_ranges(renderer, values),
             "lights_off": lights_off,
             "lights_on": lights_on,

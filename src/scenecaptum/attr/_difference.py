@@ -155,7 +155,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
     info["linear_in_light"] = all(side.info.get("linear_in_light") for side in (a, b))
     own = [*a.info.get("own_ranges", ()), *b.info.get("own_ranges", ())]
     info["own_ranges"] = list(dict.fromkeys(own))
-    for key in ("local", "nonlinear"):
+    for key in ("local", "nonlinear", "untested"):
         info[key] = list(dict.fromkeys([*a.info.get(key, ()), *b.info.get(key, ())]))
     info["range_changes"] = {}
     if not have_same_baselines(a.info, b.info):

@@ -175,16 +175,20 @@ def _local_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[
         "nonlinear": f"{metric_symbol(attribution)} is not linear in the picture",
     }
     changes, last = attribution.info.get("range_changes", {}), attribution.ranked_last(scale)
-    notes = {}
+    notes, may_differ = {}, "the effect may be quite different, or in the other direction"
+    untested = [name for name in attribution.info.get("untested", ()) if name in shown]
+    if untested:
+        note = (
+            f"{_named(attribution, untested)}: the gradient at this value, not tested over the range, over which "
+            f"{reasons['local']}; {may_differ}"
+        )
+        notes[advised(note, RENDER, ": ")] = untested
     for key, reason in reasons.items():
         names = [name for name in attribution.info.get(key, ()) if name in shown]
         does_not_hold = f"the gradient at this value does not hold over the range, over which {reason}"
         unknown = [name for name in names if name not in changes]
         if unknown:
-            note = (
-                f"{_named(attribution, unknown)}: {does_not_hold}; the effect may be quite different, or in the "
-                "other direction"
-            )
+            note = f"{_named(attribution, unknown)}: {does_not_hold}; {may_differ}"
             notes[advised(note, RENDER, ": ")] = unknown
         for is_last, consequence in ((True, "; so ranked last, without a bar or a colour"), (False, "")):
             known = [name for name in names if name in changes and (name in last) == is_last]
