@@ -140,6 +140,7 @@ def test_a_light_that_is_off_has_one_effect_beside_any_other_design_and_two_equa
         are_equal = bool(origin)
         assert (_compare.SAME in found["notes"]) is are_equal
         assert any("their errors" in note for note in found["notes"]) is not are_equal
+        assert not (are_equal and any(one["change"] for one in found["effects"]))
     assert set(of_off.values()) == {0}
 
 

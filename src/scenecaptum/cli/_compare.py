@@ -152,11 +152,10 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
     origin, design = (
         whole_design(options, renderer, settings) for settings in (of_origin, design_settings(options))
     )
+    is_same = all(torch.equal(value, origin[name]) for name, value in design.items())
     # The design first: a value of it that is refused costs no time.
-    after, before = (
-        _attributed_at(values, renderer, metric, fixed_values(options, renderer, settings), options)
-        for values, settings in ((design, design_settings(options)), (origin, of_origin))
-    )
+    after = _attributed_at(design, renderer, metric, design_settings(options), options)
+    before = after if is_same else _attributed_at(origin, renderer, metric, of_origin, options)
     scenes = renders_like(before.attribution, renderer, before.metric, options, origin)
     titles = options.titles or _design_titles(
         options.origin, options.design, is_changed=bool(options.settings)
@@ -173,7 +172,7 @@ def _compare_designs(options: argparse.Namespace) -> Compared:
         for one, of_definition in zip((before, after), both, strict=True)
     ]
     exact = difference_by_definition(*rated, (scenes.images, images)) if stated else None
-    if _are_equal({**scenes.values, **(design or {})}, scenes.values):
+    if is_same:
         measured = SAME
     elif exact is None:
         measured = MEASURED.format(
@@ -190,11 +189,11 @@ def _attributed_at(
     values: Mapping[str, torch.Tensor],
     renderer: SceneRenderer,
     metric: Metric,
-    fixed: Mapping[str, torch.Tensor],
+    settings: Mapping[str, Any],
     options: argparse.Namespace,
 ) -> Designed:
     """Return the result of a design, whose values beside the inputs are fixed; it has these values, too."""
-    if fixed:
+    if fixed := fixed_values(options, renderer, settings):
         renderer, metric = _renderer_and_metric(options, options.scene, fixed)
     inputs = renderer.inputs
     result: SceneAttribution = VanillaSceneGradient(renderer, metric).attribute(
@@ -210,10 +209,6 @@ def _attributed_at(
         labels={**result.labels, **{name: renderer.parameters[name].label for name in beside}},
     )
     return Designed(result, renderer, metric)
-
-
-def _are_equal(values: Mapping[str, torch.Tensor], others: Mapping[str, torch.Tensor]) -> bool:
-    return all(torch.equal(value, others[name]) for name, value in values.items())
 
 
 def _remaining(error: float | None, errors: Sequence[float | None]) -> str:
