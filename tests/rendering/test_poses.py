@@ -517,7 +517,7 @@ def test_a_turn_whose_gradient_holds_for_a_part_of_a_pixel_only_is_marked(mi: An
         else:
             assert turn in found.info["local"]
             assert abs(over_range) < 0.1 * gradient
-            assert "does not hold over its range" in " ".join(str(found).split())
+            assert "does not hold over the range" in " ".join(str(found).split())
 
 
 def test_a_turned_camera_turns_on(mi: Any) -> None:
