@@ -247,7 +247,7 @@ class EffectSentences:
             for one in self.changes
             if one.measured is not None and one.is_clear
         ]
-        # Where an effect is stated, the legend of these has the notes on lights that are not ranked.
+        # Where an effect is stated, the legend of these has the notes on what ranks last.
         last = self.attribution.ranked_last()
         notes += [
             note for note, whose in range_notes(self.attribution, among=last).items() if last & {*whose}
