@@ -525,7 +525,7 @@ compared with finite differences: **{summary}**.
 
 Known to be wrong, and marked with `!` in results: bump maps and normal maps where a bent normal turns away from
 the viewer, as on a floor seen from the side; and, not in the table, the texture that masks a perfectly specular
-material, whose sign may be wrong, too, and the texels of exactly 0 or 1 of one that blends it with another.
+material, whose sign may be wrong, too.
 
 *Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
 and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly

@@ -311,6 +311,19 @@ def test_table_says_that_the_scale_of_a_map_is_the_effect_of_its_light() -> None
     assert "every texel" not in table_text(result, scale="unit")
 
 
+def test_table_says_that_a_bump_map_has_no_effect_whatever_its_texels_do() -> None:
+    bump = {"wall.bsdf.nested_texture.data": torch.zeros(2, 3, 1), "wall.bsdf.scale": torch.tensor(1.0)}
+    result = dataclasses.replace(
+        make(barred=False),
+        attributions=bump,
+        parameter_values={name: torch.ones(1) for name in bump},
+        extents={name: torch.ones(1) for name in bump},
+    )
+    note = "~ wall.bsdf.nested_texture.data: the same height added to every texel bends no normal, so"
+    assert note in " ".join(table_text(result).split())
+    assert "every texel" not in table_text(result, scale="unit")
+
+
 def test_table_ranks_with_sign_error_and_channels() -> None:
     text = table_text(make())
     names = re.findall(r"^ *\d+  (\S+)", text, flags=re.MULTILINE)

@@ -221,11 +221,6 @@ def _caution(graph: SceneGraph, role: str, user: Any, shape: tuple[int, ...], va
         return None
     if _mixes_specular(user, role):
         return "it blends a perfectly specular lobe with others: its derivative is biased, also in its sign"
-    if role == "weight" and _is_specular(user) and not _is_inside(value):
-        return (
-            "it blends a perfectly specular material with another: where it is 0 or 1 only one of them is "
-            "sampled, and its derivative leaves out the other"
-        )
     return None
 
 
@@ -241,13 +236,6 @@ def _mixes_specular(user: Any, role: str) -> bool:
     """
     mixes = user.class_name() in ("MaskBSDF", "BlendBSDF") and role in ("opacity", "weight")
     return mixes and _is_specular(user) and not _is_ours(user)
-
-
-def _is_inside(shares: Any) -> bool:
-    """Whether all texels are above 0 and below 1."""
-    import drjit as dr
-
-    return bool(dr.min(shares.array)[0] > 0 and dr.max(shares.array)[0] < 1)
 
 
 def _is_specular(user: Any) -> bool:

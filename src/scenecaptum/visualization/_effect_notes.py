@@ -33,6 +33,7 @@ def range_notes(
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
         notes |= {
             **_map_notes(attribution, shown),
+            **_bump_notes(attribution, shown),
             **_roughness_notes(attribution, scale, shown),
             **_least_roughness_notes(attribution, shown),
             **_off_notes(attribution, shown),
@@ -106,6 +107,15 @@ def _map_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
             of_light = f"{labels.get(scale, scale)}: for all of its light"
             notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]
     return notes
+
+
+def _bump_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on bump maps, whose effect, for the same change of all texels, is 0 whatever they do."""
+    bumps = [name for name in shown if "nested_texture" in name.split(".")]
+    if not bumps:
+        return {}
+    reason = "the same height added to every texel bends no normal, so the effect is 0 whatever its texels do"
+    return {f"{_named(attribution, bumps)}: {reason}; the bump scale has an effect": bumps}
 
 
 def _group_notes(attribution: Attribution) -> dict[str, list[str]]:

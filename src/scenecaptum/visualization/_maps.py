@@ -349,7 +349,7 @@ def _panels(
         *jump_notes(attribution, mapped),
         *(f"{aside}{note}" for note in range_notes(attribution, scale)),
     ]
-    caption = [line for note in packed for line in wrapped_lines(note, line_length)]
+    caption = [line for note in packed for line in wrapped_lines(note, line_length, 4)]
     bottom = 0.12 + 0.14 * len(caption)
     top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines())
     height = bottom + h + top
