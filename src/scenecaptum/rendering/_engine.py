@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from functools import cached_property, reduce
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property, partial, reduce
 from typing import Any
 
 import drjit as dr
@@ -330,10 +330,7 @@ class Engine:
                 self._live.scene, image, opaque_seed(chunk), chunk.spp, self._live.state.scalars
             )
 
-        gradients: dict[str, torch.Tensor] = {}
-        for names in by_scene(routes, replayed_names(routes)):
-            gradients |= self._replay(replay, values, routes, names, self._chunks(seed, spp))
-        return gradients
+        return self._replay(replay, values, routes, replayed_names(routes), seed, spp)
 
     def _replay_sampled_pixels(
         self, values: Snapshot, routes: Routes, group: ReplayGroup, adjoint: torch.Tensor, seed: int, spp: int
@@ -350,7 +347,7 @@ class Engine:
             )
             self._kernels.render_backward_pixels(self._live.scene, *arguments(chunk), light)
 
-        return self._replay(replay, values, routes, group.names, self._chunks(seed, spp))
+        return self._replay(replay, values, routes, group.names, seed, spp)
 
     def _difference_of_paths(
         self,
@@ -418,21 +415,24 @@ class Engine:
         replay: Callable[[Chunk], None],
         values: Snapshot,
         routes: Routes,
-        names: Collection[str],
-        parts: Iterable[Chunk],
+        names: Iterable[str],
+        seed: int,
+        spp: int,
     ) -> dict[str, torch.Tensor]:
-        """Return the gradients that ``replay`` accumulates over all chunks."""
-        if not names:
-            return {}
+        """Return the gradients that ``replay`` accumulates over all chunks, in one scene after the other."""
 
-        def backward() -> Any:
-            for chunk in parts:
+        def backward(together: Sequence[str]) -> Any:
+            for chunk in self._chunks(seed, spp):
                 replay(chunk)
                 evaluate()
-            return [flat(dr.grad(self._live.state.leaves[name])) for name in names]
+            return [flat(dr.grad(self._live.state.leaves[name])) for name in together]
 
-        gradients = self._live.call(backward, values.replace(_replay_values(routes, names)), names)
-        return {n: g.reshape(values[n].shape) for g, n in zip(gradients, names, strict=True)}
+        gradients: dict[str, torch.Tensor] = {}
+        for together in by_scene(routes, names):
+            scene = values.replace(_replay_values(routes, together))
+            found = self._live.call(partial(backward, together), scene, together)
+            gradients |= {n: g.reshape(values[n].shape) for g, n in zip(found, together, strict=True)}
+        return gradients
 
     def _replay_forward(
         self, values: Snapshot, routes: Routes, tangents: Values, seed: int, spp: int

@@ -14,7 +14,7 @@ from ..errors import SceneCaptumError
 from ..scene import SceneParameters, plugin_name
 from ._bridge import evaluate
 from ._chunks import Chunk
-from ._derivative_routes import Routes, by_scene, replayed_names
+from ._derivative_routes import Routes, replayed_names
 from ._dr_arrays import owned
 from ._engine import Engine, opaque_seed
 from ._frozen import FrozenFunction
@@ -106,10 +106,7 @@ class SkyEngine(Engine):
             self._differentiate_kernel(scene, image, opaque_seed(chunk), self._samples(chunk), scalars)
             evaluate()
 
-        gradients: dict[str, torch.Tensor] = {}
-        for names in by_scene(routes, replayed_names(routes)):
-            gradients |= self._replay(replay, values, routes, names, self._chunks(seed, spp))
-        return gradients
+        return self._replay(replay, values, routes, replayed_names(routes), seed, spp)
 
 
 def sky_of(scene: Any, parameters: SceneParameters) -> str:
