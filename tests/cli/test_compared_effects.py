@@ -118,7 +118,7 @@ def test_an_effect_is_over_the_range_in_its_own_design(factor: float) -> None:
     assert lamp.change == pytest.approx(lamp.after - lamp.before)
     assert (before.effects_error() or {})["lamp"] * (1 + factor**2) ** 0.5 == pytest.approx(lamp.error)
     text = " ".join(" ".join(text_of(before, other)).split())
-    assert "The effects of lamp are over different ranges, each that of its own result" in text
+    assert "The effect of lamp is over different ranges, each that of its own result" in text
     assert "different ranges" not in " ".join(text_of(before, before))
 
 
@@ -160,7 +160,7 @@ def test_a_light_that_is_switched_off_has_no_effect_there() -> None:
     text = text_of(on, off)
     assert rows_of(text)[0].startswith("lamp")
     joined = " ".join(" ".join(text).split())
-    assert "The effects of lamp are over different ranges, each that of its own result" in joined
+    assert "The effect of lamp is over different ranges, each that of its own result" in joined
     assert "for a light from off to its value, so 0 where it is off." in joined
     assert "off in both" not in joined
     assert "switching on" not in joined

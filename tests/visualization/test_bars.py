@@ -311,7 +311,7 @@ def test_heatmap_names_salient_invisible_parameters() -> None:
     assert "not in the picture" not in all_text(plot_heatmap(dataclasses.replace(first, surfaces=shown)))
     # Several are listed, and those below the first three are counted, unless their effects are negligible.
     every = dataclasses.replace(make(), surfaces=surfaces("rough", "elsewhere"))
-    text = all_text(plot_heatmap(every)).replace("\n", " ")
+    text = " ".join(all_text(plot_heatmap(every)).split())
     assert "#1 with an effect of 0.500 ± 0.004; two_minds, #2" in text
     assert "; floor, #3 with an effect of 0.2154 ± 0.0020; and 1 more" in text
     # A group is visible where one of its members is.

@@ -167,8 +167,8 @@ def own_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
     if names:
         zero = ", so 0 where it is off" if lights_switched(before, after) else ""
         sentences.append(
-            f"The effects of {_named(before, names)} are over different ranges, each that of its own result: for "
-            f"a light from off to its value{zero}."
+            f"The effect{'s' * (len(names) > 1)} of {_named(before, names)} {_is(names)} over different ranges, "
+            f"each that of its own result: for a light from off to its value{zero}."
         )
     if off := [name for name in before if name in before.lights_off() & after.lights_off()]:
         one, several = "its effect, from off to its value, is", "their effects, from off to their values, are"
