@@ -21,6 +21,7 @@ from ..rendering import SceneRenderer
 from ..report import describe_objects
 from ..scene import scene_heading
 from ..visualization import (
+    RANKED_LAST,
     automatic_exposure,
     findings,
     format_with_error,
@@ -342,17 +343,21 @@ class Exploration:
             [data for _, data in encoded],
             **{key: getattr(slider, key) for key in ("name", "label", "form", "low", "high", "start")},
             effects=[None if row is None else [row.effect, row.effect_error] for row in rows],
-            doubts=[_doubts(attribution, slider.name) for attribution in attributions],
+            doubts=[doubts_about(attribution, slider.name) for attribution in attributions],
             gradients=[{"rows": one.rows.tolist(), "turned": one.turned.tolist()} for one in gradients],
             scales=[scale for scale, _ in encoded],
         )
 
 
-def _doubts(attribution: SceneAttribution, name: str) -> str:
-    """Return why the effect of a parameter may not hold over its range, without advice; empty if it may."""
+def doubts_about(attribution: SceneAttribution, name: str) -> str:
+    """Return why the effect of a parameter may not hold over its range; empty if it may.
+
+    Without advice, and without what it means for rankings and bars, which a page of sliders does not have.
+    """
     label = attribution.labels.get(name, name)
     notes = findings(range_notes(attribution, among=[name]))
-    return "; ".join(note.removeprefix(f"{label}: ") for note in notes)
+    reasons = [re.sub(f"[,;] {RANKED_LAST}$", "", note.removeprefix(f"{label}: ")) for note in notes]
+    return "; ".join(reasons)
 
 
 class _SupersededError(Exception):

@@ -22,6 +22,7 @@ __all__ = [
 from ._arrows import Arrow as Arrow
 from ._arrows import arrows as arrows
 from ._bars import plot_bars as plot_bars
+from ._effect_notes import RANKED_LAST as RANKED_LAST
 from ._effect_notes import light_notes as light_notes
 from ._effect_notes import range_marked as range_marked
 from ._effect_notes import range_notes as range_notes

@@ -18,6 +18,7 @@ _ROUGHNESS = {"alpha", "alpha_u", "alpha_v", "roughness"}
 _LEAST_ROUGHNESS = {**dict.fromkeys(("alpha", "alpha_u", "alpha_v"), 1e-4), "roughness": math.sqrt(1e-3)}
 _MANY_TIMES = 4  # the roughness: the length of a range over which a tangent holds no longer
 RENDER = "render the change"
+RANKED_LAST = "so ranked last, without a bar or a colour"
 _NOTABLE = 0.1  # of the largest effect
 
 
@@ -153,7 +154,7 @@ def _light_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[
         }
         return {f"{_named(attribution, names)}: {why}": names for why, names in reasons.items() if names}
     cases = {
-        ", so ranked last, without a bar or a colour": [name for name in off if name in last],
+        f", {RANKED_LAST}": [name for name in off if name in last],
         ", so left out of groups": of_groups,
         "": [name for name in off if name in attribution and name not in last],
     }
@@ -200,7 +201,7 @@ def _local_notes(attribution: Attribution, scale: Scale | None, shown: Sequence[
         if unknown:
             note = f"{_named(attribution, unknown)}: {does_not_hold}; {may_differ}"
             notes[advised(note, RENDER, ": ")] = unknown
-        for is_last, consequence in ((True, "; so ranked last, without a bar or a colour"), (False, "")):
+        for is_last, consequence in ((True, f"; {RANKED_LAST}"), (False, "")):
             known = [name for name in names if name in changes and (name in last) == is_last]
             if known:
                 numbers = _changes_over_range(attribution, known)
