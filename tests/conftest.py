@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import sys
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -63,11 +65,24 @@ def global_generators() -> None:
     np.random.seed(shifted())
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown() -> Generator[None, Any, Any]:
+    """Free the scenes of a test when it and its fixtures have ended.
+
+    Dr.Jit compiles the objects of all scenes in the process into each kernel, and renderers are in cycles.
+    """
+    result = yield
+    gc.collect()
+    return result
+
+
 @pytest.fixture(scope="session")
 def mi() -> Any:
     from scenecaptum.backend import activate
 
-    return activate()
+    variant = activate()
+    gc.freeze()  # what is imported stays, and need not be searched after each test
+    return variant
 
 
 @pytest.fixture(scope="session")
