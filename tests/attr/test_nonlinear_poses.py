@@ -158,6 +158,20 @@ def test_an_exact_gradient_of_a_smoothed_metric_says_that_its_range_is_not_teste
     assert "not tested" not in on_one_line(moved)
 
 
+def test_so_does_one_whose_gradient_deviates_to_first_order_in_the_picture():
+    class Bending(Turning):
+        def range_changes(self, *args, **options):
+            return {name: 3 * rows for name, rows in super().range_changes(*args, **options).items()}
+
+    renderer = Bending(0.01)
+    (name,) = renderer.names
+    assert attribute(renderer, fourth, shifted()).info["local"] == [name]
+    found = attribute(renderer, metrics.Smoothed(fourth, 0.1), shifted())
+    assert (found.info["local"], found.info["untested"]) == ([], [name])
+    assert "not tested over the range" in on_one_line(found)
+    assert "does not hold" not in on_one_line(found)
+
+
 def test_gradients_along_an_adjoint_get_what_the_metric_does_over_the_range():
     renderer = Sliding(0.01)
     image = torch.stack([renderer(renderer.inputs, seed=seed, spp=64) for seed in range(8)]).mean(0)

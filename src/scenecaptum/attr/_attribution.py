@@ -384,10 +384,11 @@ def make_attribution(
             "metric_bias": adjoints.bias,
             "seen_through": seen_through(renderer, surfaces, names, values),
             "jumps": steps.jumps,
-            "local": local.marked,
+            "local": [] if metric.is_smoothed else local.marked,
             "nonlinear": nonlinear.marked,
             "range_changes": changes,
-            "untested": list(local.errors) if metric.is_smoothed else [],
+            # To first order in the picture alone, a deviation does not say what the metric does.
+            "untested": [*local.marked, *local.errors] if metric.is_smoothed else [],
             "unit_ranges": unit_ranges(renderer, values),
             "lights_off": lights_off,
             "lights_on": lights_on,
