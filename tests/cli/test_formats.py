@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 import results
+import torch
 from matplotlib.figure import Figure
 
 from scenecaptum import SceneAttribution, cli
@@ -114,6 +115,31 @@ def test_numbers_are_written_from_python(tmp_path: Path, errors: bool) -> None:
     assert [float(row["effect"]) for row in rows] == [row.effect for row in ranking]
     assert (rows[0]["total_error_1"] == "") is not errors
     assert numbers["metric"]["name"] == attribution.info["metric"]
+
+
+def test_numbers_have_values_ranges_and_what_puts_a_row_in_doubt(tmp_path: Path) -> None:
+    made = results.make(cautions={"floor": "it is biased"}, measure={"name": "Glare", "unit": "cd/m²"})
+    attribution = dataclasses.replace(
+        made,
+        parameter_values={name: torch.full_like(value, 0.5) for name, value in made.items()},
+        extents={name: torch.full(value.shape[-1:], 2.0) for name, value in made.items()},
+    )
+    write_json(attribution, tmp_path / "a.json")
+    write_csv(attribution, tmp_path / "a.csv")
+    numbers = json.loads((tmp_path / "a.json").read_text())
+    with (tmp_path / "a.csv").open(newline="") as file:
+        rows = {row["name"]: row for row in csv.DictReader(file)}
+    assert numbers["metric"]["unit"] == rows["floor"]["metric_unit"] == "cd/m²"
+    for one in numbers["ranking"]:
+        doubt = "! it is biased" if one["name"] == "floor" else None
+        assert one["caution"] == doubt
+        assert rows[one["name"]]["caution"] == (doubt or "")
+        assert set(one["value"]) == {0.5}
+        assert set(one["range"]) == {2.0}
+        assert float(rows[one["name"]]["range_1"]) == 2.0
+    frame = attribution.to_dataframe()
+    assert set(frame.loc[frame["name"] == "floor", "caution"]) == {"! it is biased"}
+    assert (frame["caution"] != "").sum() == 1
 
 
 def test_demo_has_the_options_of_attribute() -> None:

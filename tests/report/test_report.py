@@ -676,6 +676,9 @@ def test_downloaded_numbers_have_full_precision(report):
             assert float(line["effect"]) == entry["effect"] == pytest.approx(row.effect, rel=1e-7)
             assert float(line["effect_error"]) == pytest.approx(row.effect_error, rel=1e-7)
             assert float(line["total_1"]) == entry["total"][0] == pytest.approx(row.total[0], rel=1e-7)
+            assert line["caution"] == (entry["caution"] or "")
+            assert line["metric_unit"] == result["metric"]["unit"]
+    assert any(row["caution"] for row in rows)
     assert results[0]["info"]["seed"] == shifted(7)
     assert {row["name"]: row["value_2"] for row in rows}["floor.reflectance.value"] == "0.25"
 

@@ -126,6 +126,7 @@ def numbers(made: SceneAttribution | None) -> dict[str, Any]:
                 "effect_error": row.effect_error,
                 "saliency": row.saliency,
                 "saliency_error": row.saliency_error,
+                "caution": "",
             }
             for row in rows
         ],

@@ -187,6 +187,10 @@ class SceneAttribution(AttributionData):
     def to_dataframe(self, *, scale: Scale | None = None) -> pandas.DataFrame:
         """Return the ranking as a pandas DataFrame with the columns of `Ranked`, indexed by rank.
 
+        A further column, ``caution``, says what a table marks a row for: an inaccurate derivative (``!``), an
+        unreliable standard error (``?``), or a range over which an effect may not hold (``~``). It is empty for
+        others.
+
         Parameters
         ----------
         scale
@@ -203,7 +207,11 @@ class SceneAttribution(AttributionData):
             raise SceneCaptumError(
                 "to_dataframe() needs pandas: pip install 'scenecaptum[frames]'"
             ) from error
-        return pandas.DataFrame(self.ranking(scale=scale), columns=Ranked._fields).set_index("rank")
+        from ..visualization import row_cautions
+
+        frame = pandas.DataFrame(self.ranking(scale=scale), columns=Ranked._fields)
+        cautions = row_cautions(self, scale)
+        return frame.assign(caution=[cautions.get(name, "") for name in frame["name"]]).set_index("rank")
 
     def save(self, path: str | os.PathLike[str] | BinaryIO, *, exact_texels: bool = False) -> None:
         """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.

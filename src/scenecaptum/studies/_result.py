@@ -139,6 +139,8 @@ class StudyResult:
     def effects(self) -> pandas.DataFrame:
         """Return a tidy table, a row for each parameter of each finished cell, with effects and standard errors.
 
+        ``caution`` says what puts a row in doubt, as in ``SceneAttribution.to_dataframe``.
+
         Raises
         ------
         SceneCaptumError
@@ -154,6 +156,7 @@ class StudyResult:
             "saliency",
             "saliency_error",
             "unit",
+            "caution",
         ]
         frame = extras.pandas().DataFrame(list(self._rows()), columns=[*Cell._fields, *columns])
         return frame.sort_values([*Cell._fields, "rank"], ignore_index=True)

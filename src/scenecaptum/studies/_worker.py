@@ -22,7 +22,7 @@ from ..explanation import grid_size, rated_image
 from ..protocols import Capabilities
 from ..rendering import SceneRenderer
 from ..scene import restored
-from ..visualization import class_doubt, metric_name, metric_unit
+from ..visualization import class_doubt, metric_name, metric_unit, row_cautions
 from ._folder import StudyFolder
 from ._metrics import create_metric, renderer_options_for, target_of
 from ._notes import convergence_of, described
@@ -79,7 +79,7 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     said = described(targeted, attribution.image, shown, value, error, info, renderer, made_up=made_up)
     info = {**info, "measure": said["measure"], "verdict": said["verdict"], **_grid(renderer)}
     attribution = dataclasses.replace(attribution, info=info)
-    table = renderer.parameters_table()
+    table, cautions = renderer.parameters_table(), row_cautions(attribution)
     rows = [
         {
             "rank": row.rank,
@@ -90,6 +90,7 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
             "effect_error": row.effect_error,
             "saliency": row.saliency,
             "saliency_error": row.saliency_error,
+            "caution": cautions.get(row.name, ""),
         }
         for row in attribution.ranking()
     ]

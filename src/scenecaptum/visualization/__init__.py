@@ -97,6 +97,7 @@ from ._plan import LEVELS as LEVELS
 from ._plan import plot_plan as plot_plan
 from ._plan import share_scale as share_scale
 from ._ranks import plot_rank_comparison as plot_rank_comparison
+from ._row_cautions import row_cautions as row_cautions
 from ._specificity import plot_specificity as plot_specificity
 from ._table import STYLE as STYLE
 from ._table import table_html as table_html
