@@ -231,3 +231,25 @@ def test_other_number_types(renderer, plain):
     torch.testing.assert_close(found[BALL], plain[BALL], rtol=1e-4, atol=0)
     with pytest.raises(SceneCaptumError, match="must return a real number; it returned one complex"):
         by(renderer, lambda image: torch.complex(image, image).mean())
+
+
+@pytest.mark.parametrize(
+    "layer",
+    [
+        torch.nn.Linear(3, 2).double(),
+        torch.nn.Sequential(torch.nn.LayerNorm(3)).half(),
+        lambda image: image.reshape(-1) @ torch.ones(image.numel(), dtype=torch.float64),
+        lambda image: torch.nn.functional.conv2d(image.movedim(-1, 0)[None], torch.ones(1, 3, 1, 1).double()),
+    ],
+    ids=["matrix", "normalization", "product", "convolution"],
+)
+def test_a_network_of_another_precision_is_named(renderer, layer):
+    with pytest.raises(
+        SceneCaptumError, match=r"mixes numbers of different precision; the image is torch\.float32"
+    ):
+        by(renderer, lambda image: layer(image).mean())
+
+
+def test_a_metric_in_numpy_is_refused(renderer):
+    with pytest.raises(SceneCaptumError, match="leaves torch for NumPy, which has no derivatives"):
+        by(renderer, lambda image: torch.tensor(image.numpy()).mean())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -245,18 +246,34 @@ class TargetedMetric:
         try:
             output = self.metric(image)
         except RuntimeError as error:
-            if "leaf Variable" in str(error):
-                raise SceneCaptumError(self._changes_the_image()) from error
-            if "input" in str(error) and "channels" in str(error):
-                raise SceneCaptumError(
-                    f"The metric {self.name} cannot take an image of shape {tuple(image.shape)} (height, width, "
-                    "channels). A network expects (1, 3, H, W): use metrics.ClassLogit(network), or "
-                    f"image.movedim(-1, 0)[None]. torch says: {error}"
-                ) from error
-            raise
+            if (reason := self._mistake(str(error), image)) is None:
+                raise
+            raise SceneCaptumError(reason) from error
         if image._version != version:
             raise SceneCaptumError(self._changes_the_image())
         return output
+
+    def _mistake(self, error: str, image: torch.Tensor) -> str | None:
+        """Return what is wrong with a metric in which torch raises such an error; None if that is unknown."""
+        if "leaf Variable" in error:
+            return self._changes_the_image()
+        if "input" in error and "channels" in error:
+            return (
+                f"The metric {self.name} cannot take an image of shape {tuple(image.shape)} (height, width, "
+                "channels). A network expects (1, 3, H, W): use metrics.ClassLogit(network), or "
+                f"image.movedim(-1, 0)[None]. torch says: {error}"
+            )
+        if "Can't call numpy()" in error:
+            return (
+                f"The metric {self.name} leaves torch for NumPy, which has no derivatives: write it in torch "
+                "operations, without .numpy(), .item() or float()."
+            )
+        if re.search(r"(same|mixed) dtype|type \(.*\) should be the same|scalar type \w+ but found", error):
+            return (
+                f"The metric {self.name} mixes numbers of different precision; the image is {image.dtype}: use "
+                f"network.float() or image.double(). torch says: {error}"
+            )
+        return None
 
     def value(self, image: torch.Tensor) -> float:
         """Return the metric's value at an image, which may be infinite, like the logarithm of a black image.
