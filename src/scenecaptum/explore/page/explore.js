@@ -48,7 +48,7 @@ function placeText(form, place) {
   if (form === "dimmer") return `${Math.round(100 * place[0])} %`;
   const numbers = place.map((one) => Number(one.toPrecision(3)));
   if (form === "offset") return numbers[0] ? minus(`${numbers[0] > 0 ? "+" : ""}${numbers[0]}`) : "±0"; // of a texture
-  return minus(numbers.join("  "));
+  return minus(numbers.join(["vector", "channels"].includes(form) ? "\n" : "  ")); // one beside each of three sliders
 }
 
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
