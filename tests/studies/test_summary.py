@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from chance import binomial_margin
 from scipy.stats import t
 from seeds import shifted
@@ -17,10 +18,10 @@ from statsmodels.stats.meta_analysis import combine_effects
 
 from scenecaptum import SceneCaptumError
 from scenecaptum.estimation import student_t
-from scenecaptum.studies import StudyResult
-from scenecaptum.studies._cell_effects import CellEffect, Quantity
+from scenecaptum.studies import Study, StudyResult
+from scenecaptum.studies._cell_effects import CellEffect, Quantity, _parts_removed
 from scenecaptum.studies._random_effects import Observation, _variance_between_cameras, _views, combine
-from scenecaptum.studies._summary import _labels
+from scenecaptum.studies._summary import Summary, _labels
 
 from . import made
 
@@ -322,6 +323,45 @@ def test_no_note_has_a_mark_that_no_row_has(tmp_path: Path) -> None:
     for note in notes.splitlines():
         mark = note.split(" ")[0]
         assert mark not in ("!", "?", "–") or f" {mark} " in tables, note
+
+
+def test_a_sum_of_losses_of_parts_removed_alone_is_called_so(run: Any, tmp_path: Path) -> None:
+    methods = {
+        "alone": {"method": "ablation"},
+        "together": {"method": "ablation", "groups": "kind"},
+        "shapley": {"method": "shapley", "groups": "kind"},
+    }
+    study = Study(
+        ["cornell-box"],
+        methods=methods,
+        inputs=["floor.*", "ceiling.*", "light.emitter.*"],
+        resolution=(8, 8),
+        spp=4,
+        max_depth=2,
+    )
+    result = run(study, tmp_path)
+    assert not result.failures
+
+    def note(summary: Summary) -> str:
+        return "".join(one for one in summary.notes() if "each alone" in one)
+
+    assert note(result.summary(method="alone")) == (
+        "the sum of the losses of its parameters, channels or patches, each alone: groups of the method, such as "
+        '{"method": "ablation", "groups": "kind"}, remove them together'
+    )
+    assert "each alone" in str(result.summary(None, method="alone")), "of the channels of a colour"
+    assert not note(result.summary(method="together"))
+    assert not note(result.summary({"both": ["reflectance", "emitters"]}, method="shapley")), "they add up"
+    assert "each alone (emitters · alone, reflectance · alone): " in note(result.summary())
+
+
+@pytest.mark.parametrize(("patch_texels", "parts"), [(24, 1), (12, 2), (5, 5)])
+def test_the_patches_of_a_texture_are_parts(patch_texels: int, parts: int) -> None:
+    made_up = made.attribution({"wall.alpha": 1.0})
+    info = {"quantity": "effect of occlusion", "patch_texels": {"wall.alpha": patch_texels}}
+    texture = {"wall.alpha": torch.ones(4, 6, 3)}
+    occluded = dataclasses.replace(made_up, attributions=texture, standard_error=None, info=info)
+    assert _parts_removed(occluded, "wall.alpha") == parts
 
 
 def test_no_effect_at_all_is_zero(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -9,6 +10,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from ..attr import SceneAttribution, sum_groups
 from ..errors import SceneCaptumError, near_misses
+from ..estimation import channel_totals
+from ..protocols import ResultKind
 from ..visualization import axis_label, sign_labels
 from ._recipe import Cell
 
@@ -52,7 +55,8 @@ class Quantity(NamedTuple):
 class CellEffect(NamedTuple):
     """The effect of a group of parameters in a cell, with its standard error, None with a single replicate.
 
-    ``label`` is what a reader calls the group; ``doubt`` is the reason why the error may be too small, or None.
+    ``label`` is what a reader calls the group; ``doubt`` is the reason why the error may be too small, or None;
+    ``adds_losses`` says that it is a sum of losses, each by the removal of one part alone.
     """
 
     cell: Cell
@@ -63,6 +67,7 @@ class CellEffect(NamedTuple):
     degrees: int  # of freedom of the error
     quantity: Quantity
     doubt: str | None = None
+    adds_losses: bool = False
 
 
 def selected_cells(
@@ -139,7 +144,22 @@ def _effects_of(
     for name, effect in summed.effects().items():
         error = None if errors is None else errors[name]
         label = attribution.labels.get(name, name) if members[name] == (name,) else name
-        yield CellEffect(cell, name, label, effect, error, degrees, quantity, doubts.get(name))
+        adds_losses = sum(_parts_removed(attribution, member) for member in members[name]) > 1
+        yield CellEffect(cell, name, label, effect, error, degrees, quantity, doubts.get(name), adds_losses)
+
+
+def _parts_removed(attribution: SceneAttribution, name: str) -> int:
+    """Return how many parts of a parameter were removed one at a time: channels of a colour, patches of a texture.
+
+    Such losses need not add up, unlike Shapley values and what is of first order.
+    """
+    value = attribution[name]
+    if attribution.kind is ResultKind.OCCLUSION:
+        patch_texels: int = attribution.info["patch_texels"][name]
+        return math.ceil(value[..., 0].numel() / patch_texels)
+    if attribution.kind is ResultKind.ABLATION:
+        return int(channel_totals(value).count_nonzero())
+    return 0
 
 
 def _doubts(

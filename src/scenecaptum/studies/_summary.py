@@ -35,6 +35,9 @@ if TYPE_CHECKING:
 _NAME_WIDTH = 32
 _NOTE_WIDTH = 100  # without a terminal
 _UNKNOWN = "–"
+_REMOVE_TOGETHER = (
+    'groups of the method, such as {"method": "ablation", "groups": "kind"}, remove them together'
+)
 _FEW_EFFECTIVE_ROOMS = 2.0  # below, one room has more than half of the weight
 
 
@@ -75,6 +78,8 @@ class GroupEffect(Combined):
         What the metric measures, and its unit.
     quantity
         What the effects are: the label of an axis, and the meanings of positive and negative effects.
+    adds_losses
+        Whether effects are sums of losses by ablation or occlusion, each of one part that was removed alone.
     """
 
     metric: str
@@ -85,6 +90,7 @@ class GroupEffect(Combined):
     measure: str
     unit: str
     quantity: Quantity
+    adds_losses: bool
 
     @property
     def raises(self) -> int:
@@ -246,6 +252,10 @@ class Summary:
         ]
         axes = _with_several(("metric", "design", "method"), self.rows)
         named = [(" · ".join([row.label, *(getattr(row, axis) for axis in axes)]), row) for row in self.rows]
+        if added := [name for name, row in named if row.adds_losses]:
+            which = _where(added, named)
+            sums = f"the sum of the losses of its parameters, channels or patches, each alone{which}"
+            notes.append(advised(sums, _REMOVE_TOGETHER, ": "))
         unknown = group_by_text((name, note) for name, row in named for note in row.unknowns)
         for note, names in unknown.items():
             notes.append(f"{_UNKNOWN} {note}{_where(names, named)}")
@@ -331,6 +341,7 @@ def _row(
         measure=numbers["measure"],
         unit=numbers["unit"],
         quantity=effects[0].quantity,
+        adds_losses=any(one.adds_losses for one in effects),
     )
 
 
