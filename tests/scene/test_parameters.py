@@ -250,6 +250,7 @@ def test_the_table_is_a_mapping_for_unknown_names_too(zoo: SceneParameters) -> N
         ("roughness", "vinyl.bsdf.alpha", "vinyl.bsdf.eta"),
         ("ior", "glass.bsdf.eta", "copper.bsdf.alpha.value"),
         ("opacity", "mixed.bsdf.weight.value", "shared.reflectance.value"),
+        ("surface", "lacquer.bsdf.sheen.value", "lacquer.bsdf.roughness.value"),
         ("textures", "poster.bsdf.reflectance.data", "sky.data"),
         ("emitters", "sky.data", "lamp.emitter.sampling_weight"),
         ("media", "mist.interior_medium.scale", "lamp.emitter.radiance.value"),
@@ -265,6 +266,13 @@ def test_a_kind_selects_its_differentiable_parameters(
     assert outside not in chosen
     assert [name for name in chosen if zoo[name].problem] == []
     assert kind in KINDS
+
+
+def test_every_kind_of_a_differentiable_parameter_can_be_selected(zoo: SceneParameters) -> None:
+    kinds = {p.kind for p in zoo.values() if not p.problem}
+    assert len(kinds) > 5
+    for kind in kinds:
+        assert {*select(zoo, kind)} == {p.name for p in zoo.values() if p.kind == kind and not p.problem}
 
 
 def test_kinds_partition_the_differentiable_parameters(zoo: SceneParameters) -> None:

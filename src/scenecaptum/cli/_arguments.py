@@ -99,8 +99,9 @@ def add_inputs(parser: argparse.ArgumentParser, default: str) -> None:
         "--inputs",
         action="append",
         metavar="SELECTION",
-        help="parameters to differentiate: materials, reflectance, roughness, ior, opacity, textures, emitters, "
-        f"media, poses, camera, all (except the last two), a glob or a name; may be repeated (default: {default})",
+        help="parameters to differentiate: materials, reflectance, roughness, ior, opacity, surface (metallic, "
+        "sheen, clearcoat, …), textures, emitters, media, poses, camera, all (except the last two), a glob or a "
+        f"name; may be repeated (default: {default})",
     )
     parser.add_argument(
         "--checkpoint",

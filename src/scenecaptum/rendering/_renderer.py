@@ -97,9 +97,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         A path to a Mitsuba XML file, the name of a bundled scene, a Mitsuba dict, or an ``mi.Scene``.
     inputs
         The parameters to differentiate, by default ``"materials"``: a kind (``"materials"``, ``"reflectance"``,
-        ``"roughness"``, ``"ior"``, ``"opacity"``, ``"textures"``, ``"emitters"``, ``"media"``, ``"poses"``,
-        ``"camera"``, or ``"all"`` but the last two), a glob over parameter names, an exact name, or a list of
-        these.
+        ``"roughness"``, ``"ior"``, ``"opacity"``, ``"surface"`` for what else materials have, such as metallic,
+        sheen and clearcoat, ``"textures"``, ``"emitters"``, ``"media"``, ``"poses"``, ``"camera"``, or ``"all"``
+        but the last two), a glob over parameter names, an exact name, or a list of these.
     resolution
         ``(width, height)`` in pixels; the scene's own by default.
     spp

@@ -18,6 +18,7 @@ KINDS = (
     "roughness",
     "ior",
     "opacity",
+    "surface",
     "textures",
     "emitters",
     "media",
