@@ -283,7 +283,7 @@ class GlobalDerivative:
         ``ν = E[(∂M/∂θ)²]`` per unit of the parameter, squared.
     bound, bound_error
         ``(high − low)² ν / (π² Var M)``: upper bound of the total Sobol index. NaN if the variance of the metric
-        is below the noise.
+        is within the noise, at all points or without one of them.
     """
 
     name: str
@@ -345,7 +345,18 @@ class DGSM:
         hidden = len(self.rows) - len(rows)
         more = [f"… and {pluralize(hidden, 'parameter')} more"] if hidden else []
         rows_of_text = grid([*columns], list(zip(*columns.values(), strict=True)))
-        return "\n".join([*rows_of_text, *more, "", summary, INTERVAL_NOTE])
+        return "\n".join([*rows_of_text, *more, "", summary, *self._unbounded(), INTERVAL_NOTE])
+
+    def _unbounded(self) -> list[str]:
+        """Return why the indices have no bounds, or these no errors; nothing if they do."""
+        if not any(math.isnan(row.bound_error) for row in self.rows):
+            return []
+        if self.variance == self.variance_error == 0:
+            return ["nan: the metric is the same at all points"]
+        return [
+            "nan: too noisy to tell, since the variance of the metric is within the noise of rendering;\n"
+            "use more samples (spp=) or points (points=)"
+        ]
 
     def __str__(self) -> str:
         return self.text()
