@@ -52,6 +52,21 @@ def test_the_cameras_directions_are_those_of_mitsubas_rays(
         torch.testing.assert_close(found.solid_angles.sum().item(), 2 * math.pi, rtol=1e-4, atol=0)
 
 
+@pytest.mark.parametrize("axis", ["x", "y", "smaller", "larger"])
+def test_another_aspect_ratio_keeps_the_horizontal_field_of_view(mi: Any, axis: str) -> None:
+    scene = mi.cornell_box()
+    scene["sensor"] = {**scene["sensor"], "fov": 40.0, "fov_axis": axis}
+    scene["sensor"]["film"] = {**scene["sensor"]["film"], "width": 32, "height": 18}
+    own, tall, wide = (
+        SceneRenderer(scene, "reflectance", spp=1, resolution=size) for size in (None, (8, 16), (32, 8))
+    )
+    assert tall.camera.fov == wide.camera.fov == own.camera.fov
+    params = mi.traverse(mi.load_dict(scene))
+    params["sensor.film.size"] = [8, 16]
+    params.update()
+    assert params["sensor.x_fov"][0] == pytest.approx(tall.camera.fov, rel=1e-6), "that of Mitsuba"
+
+
 def test_a_crop_has_the_directions_of_its_part(mi: Any) -> None:
     scene = room(mi, {"type": "diffuse"})
     scene["camera"]["film"] |= {"crop_width": 5, "crop_height": 7, "crop_offset_x": 2, "crop_offset_y": 8}

@@ -48,7 +48,10 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         f"{describe(named_sensors())} (default: 0)",
     )
     parser.add_argument(
-        "--resolution", type=resolution, metavar="WxH", help="for example 320x180 (default: the scene's own)"
+        "--resolution",
+        type=resolution,
+        metavar="WxH",
+        help="for example 320x180; the horizontal field of view stays the scene's (default: the scene's own)",
     )
     add_objects(parser)
     add_samples(parser)

@@ -101,7 +101,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         sheen and clearcoat, ``"textures"``, ``"emitters"``, ``"media"``, ``"poses"``, ``"camera"``, or ``"all"``
         but the last two), a glob over parameter names, an exact name, or a list of these.
     resolution
-        ``(width, height)`` in pixels; the scene's own by default.
+        ``(width, height)`` in pixels; the scene's own by default. Another aspect ratio keeps the horizontal field
+        of view of the scene's film and changes the vertical one, whatever the ``fov_axis`` of the sensor.
     spp
         Samples per pixel; the scene's own by default.
     max_depth
