@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from refusals import message
 from seeds import shifted
 from toy import ToyRenderer
 
+from scenecaptum import SmoothGradScene
 from scenecaptum.errors import SceneCaptumError
 from scenecaptum.rendering import SceneRenderer
 from scenecaptum.rendering._captum import as_captum
@@ -285,6 +286,29 @@ def test_noise_beyond_the_bounds_is_reflected(renderer: Any) -> None:
     expected = tuple(torch.stack(column).mean(0) for column in zip(*per_row, strict=True))
     # Rounding differs in the reflected values, and the gradient depends on them.
     assert_same(found, expected, allowed=1e-4)
+
+
+def test_only_captum_counts_draws_that_were_reflected_with_the_opposite_sign() -> None:
+    class NearBound(ToyRenderer):
+        bounds: ClassVar = {"x": (0.0, 1.0)}
+
+        def __init__(self) -> None:
+            super().__init__(noise=0.0)
+            self.inputs = {"x": torch.tensor([0.01, 0.5, 0.5])}
+
+    toy = NearBound()
+    slopes = gradient(toy, own(toy), torch.mean)[0]
+    forward, inputs = as_captum(toy, torch.mean, bounds="reflect")
+    recorded = Recorded(forward)
+    torch.manual_seed(shifted(4))
+    (theirs,) = captum.NoiseTunnel(captum.Saliency(recorded)).attribute(
+        inputs, nt_samples=64, stdevs=0.05, abs=False
+    )
+    signs = torch.stack([row[0] for row in recorded.rows]).sign().mean(0)
+    assert signs[0] < 0.6
+    torch.testing.assert_close(theirs[0], signs * slopes)
+    ours = SmoothGradScene(toy, torch.mean).attribute(stdevs=0.05, seed=0)
+    torch.testing.assert_close(ours["x"], slopes)
 
 
 def test_noise_beyond_the_bounds_is_refused_on_request(renderer: Any) -> None:

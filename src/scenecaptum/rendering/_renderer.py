@@ -1131,7 +1131,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             How values beyond the physical bounds are handled: ``"raise"`` refuses them, ``"reflect"`` reflects
             them at the bounds before rendering, differentiably. Methods that add noise need this, and so does a
             baseline of zero where zero is unphysical (a roughness). Attributions refer to the values before
-            reflection.
+            reflection: the gradient of a value that was reflected once has the opposite sign, unlike in
+            ``SmoothGradScene``, which takes it at the reflected value.
         denoise
             Whether to evaluate the metric on denoised images (Open Image Denoise, with ``guides``). The
             gradient is that at the denoised image and passes through the denoiser unchanged (straight-through).
