@@ -115,6 +115,55 @@ def test_what_trains_nothing_is_not_named():
     assert said(lambda: VanillaSceneGradient(ToyRenderer(), logit)) == []
 
 
+class OwnDropout(torch.nn.Module):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.dropout(x, training=self.training)
+
+
+class OwnStatistics(torch.nn.Module):
+    def __init__(self) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("layer", "acts_otherwise"),
+    [
+        (torch.nn.GELU(), False),
+        (torch.nn.LayerNorm(3), False),
+        (torch.nn.RReLU(), True),
+        (torch.nn.Dropout(0.1), True),
+        (torch.nn.Dropout(0.0), False),
+        (torch.nn.BatchNorm2d(3, affine=False), True),
+        (torch.nn.BatchNorm2d(3, track_running_stats=False), False),
+        (torch.nn.InstanceNorm2d(3, affine=True), False),
+        (torch.nn.InstanceNorm2d(3, track_running_stats=True), True),
+        (torch.nn.GRU(3, 3, num_layers=2), False),
+        (torch.nn.GRU(3, 3, num_layers=2, dropout=0.1), True),
+        (torch.nn.MultiheadAttention(4, 2), False),
+        (torch.nn.MultiheadAttention(4, 2, dropout=0.1), True),
+        (torch.nn.TransformerEncoderLayer(4, 2, dropout=0.1), True),
+        (torch.nn.TransformerEncoderLayer(4, 2, dropout=0.0), False),
+        (torch.nn.utils.spectral_norm(torch.nn.Linear(3, 3)), True),
+        (torch.nn.utils.parametrizations.spectral_norm(torch.nn.Linear(3, 3)), True),
+        (OwnDropout(), True),
+        (OwnStatistics(), True),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_only_layers_that_act_otherwise_in_training_mode_are_named(layer, acts_otherwise):
+    class Network(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.first, self.last, self.layer = torch.nn.Conv2d(3, 4, 3), torch.nn.Linear(4, 2), layer
+
+    network = Network()
+    function = functions(network)["net"]
+    assert len(said(lambda: metrics.ClassLogit(function))) == acts_otherwise
+    network.eval()
+    assert said(lambda: metrics.ClassLogit(function)) == []
+
+
 def test_the_warning_is_on_the_line_of_the_caller():
     with pytest.warns(UserWarning, match="training mode") as caught:
         metrics.ClassLogit(with_global)

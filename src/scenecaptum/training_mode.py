@@ -6,12 +6,14 @@ import contextlib
 import dis
 import functools
 import inspect
+import itertools
 import types
 import warnings
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import torch
+from torch.nn.modules.batchnorm import _NormBase
 from torch.nn.modules.dropout import _DropoutNd
 
 _PACKAGE = __name__.partition(".")[0]
@@ -31,14 +33,33 @@ def warn_of_training_mode(function: Callable[..., Any]) -> None:
 
 
 def _trains(network: torch.nn.Module) -> bool:
-    """Whether a layer with parameters, or a dropout, is in training mode.
+    """Whether a layer that acts otherwise in training mode is in it."""
+    return any(layer.training and _acts_otherwise(layer) for layer in _layers(network))
 
-    Losses, activations and poolings are always constructed in training mode, and have none.
+
+def _acts_otherwise(layer: torch.nn.Module) -> bool:
+    """Whether a layer itself, without those in it, acts otherwise in training mode.
+
+    What is not known, a class outside ``torch.nn`` or a layer with hooks such as spectral normalization, may do so
+    if it has parameters or buffers, or a method that reads ``training``.
     """
+    if not type(layer).__module__.startswith("torch.nn.modules.") or layer._forward_pre_hooks:
+        own = itertools.chain(layer.parameters(recurse=False), layer.buffers(recurse=False))
+        return next(own, None) is not None or _reads_training(type(layer))
+    if isinstance(layer, _NormBase):
+        return bool(layer.track_running_stats)  # else the batch's statistics in both modes
+    if isinstance(layer, torch.nn.MultiheadAttention | torch.nn.RNNBase):
+        return layer.dropout > 0
+    return isinstance(layer, torch.nn.RReLU) or (isinstance(layer, _DropoutNd) and layer.p > 0)
+
+
+def _reads_training(kind: type[torch.nn.Module]) -> bool:
+    """Whether a method of a class, or of one outside ``torch`` that it inherits from, reads ``training``."""
     return any(
-        layer.training
-        and (isinstance(layer, _DropoutNd) or next(layer.parameters(recurse=False), None) is not None)
-        for layer in _layers(network)
+        isinstance(method, types.FunctionType) and "training" in method.__code__.co_names
+        for cls in kind.__mro__
+        if not cls.__module__.startswith("torch.")
+        for method in vars(cls).values()
     )
 
 
