@@ -7,7 +7,7 @@ import math
 
 import pytest
 import torch
-from seeds import shifted
+from seeds import seeds, shifted
 from toy import ToyRenderer
 
 from scenecaptum import (
@@ -15,6 +15,7 @@ from scenecaptum import (
     SceneAttribution,
     SceneCaptumError,
     SceneRenderer,
+    ShapleyValueScene,
     VanillaSceneGradient,
     metrics,
 )
@@ -381,3 +382,29 @@ def test_the_name_of_an_object_suggests_its_parameters():
         SceneAttribution({"floor.reflectance.value": torch.ones(3)}, None, 1.0)["floor"]
     with pytest.raises(SceneCaptumError, match="indexed by a parameter's name"):
         attribution()[0]
+
+
+def test_sums_of_sampled_shapley_values_have_the_largest_error_that_they_can():
+    class Brightness(ToyRenderer):
+        def __init__(self) -> None:
+            super().__init__()
+            self.inputs = {name: torch.full((3,), 0.5) for name in ("floor", "wall", "ceiling", "door")}
+
+        def __call__(self, inputs, *, seed, spp):
+            generator = torch.Generator().manual_seed(seed)
+            light = math.prod(value.mean() for value in inputs.values())
+            return light * (1 + 0.1 * torch.randn((4, 4, 3), generator=generator))
+
+    renderer = Brightness()
+    method = ShapleyValueScene(renderer, lambda image: image.mean())
+    runs = [method.attribute(baselines=0.1, n_samples=4, seed=seed) for seed in seeds(12)]
+    assert not runs[0].replicates
+    groups = {"room": ("floor", "wall", "ceiling"), "door": ("door",)}
+    sums = [sum_groups(one, groups) for one in runs]
+    for one, summed in zip(runs, sums, strict=True):
+        assert summed["room"] == pytest.approx(sum(one.effects()[name] for name in groups["room"]), rel=1e-5)
+        errors = one.effects_error()
+        assert summed.effects_error()["room"] == pytest.approx(sum(errors[name] for name in groups["room"]))
+        assert summed.effects_error()["door"] == pytest.approx(errors["door"])
+    spread = torch.stack([one["room"] for one in sums]).std()
+    assert spread < 1.5 * max(one.effects_error()["room"] for one in sums)

@@ -158,9 +158,10 @@ def _abbreviate(owners: tuple[str, ...]) -> str:
 def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     """Return the sum of each group's effects, 0-d by group, with standard errors from the replicates.
 
-    Gradients are summed over the ranges of the members where these are known: they have no common unit. A light
-    that is off is left out of a group that has others, and so is a map of light beside its scale, whose effect is
-    that of all its light, unless the two share a change between them.
+    Where there are none, as of sampled Shapley values, the standard error is an upper limit, the sum of those of
+    the members. Gradients are summed over the ranges of the members where these are known: they have no common
+    unit. A light that is off is left out of a group that has others, and so is a map of light beside its scale,
+    whose effect is that of all its light, unless the two share a change between them.
     """
     kind, factors = attribution.kind.in_scale(attribution.scale_or_default()), dict(attribution.weights())
     maps = {
@@ -182,9 +183,18 @@ def sum_groups(attribution: A, members: Mapping[str, tuple[str, ...]]) -> A:
     rows = {
         group: torch.stack([effects[name] for name in names]).sum(0)[:, None]
         for group, names in members.items()
+        if {*names} <= {*effects}
     }
     bias = None if attribution.bias is None else {g: total(attribution.bias, n) for g, n in members.items()}
-    covariance = None if attribution.covariance is None else covariances(rows, bias)
+    errors, covariance = attribution.effects_error(), None
+    if errors is not None:
+        known = covariances(rows, bias)
+        # Sampled Shapley values have no replicates. If they err together, it is by no more than the sum.
+        largest = {group: sum(errors[name] for name in names) for group, names in members.items()}
+        covariance = {
+            group: known.get(group, torch.tensor([[largest[group] ** 2]], dtype=torch.float64))
+            for group in members
+        }
     # A group of nothing else is not ranked either.
     without = {group: jumps[names[0]] for group, names in members.items() if all(n in jumps for n in names)}
     hidden = {name for group in without for name in members[group]}
