@@ -233,7 +233,7 @@ def test_one_sample_of_smoothgrad_is_the_plain_gradient():
     torch.testing.assert_close(smooth.standard_error["x"], plain.standard_error["x"])
 
 
-@pytest.mark.parametrize("nt_type", ["smoothgrad_sq", "vargrad"])
+@pytest.mark.parametrize("nt_type", [pytest.param("smoothgrad_sq", marks=pytest.mark.long), "vargrad"])
 def test_render_noise_is_not_counted_as_variance_of_the_gradient(nt_type):
     renderer = Glowing(noise=0.5)
     repeats = [
@@ -317,15 +317,20 @@ def test_a_non_linear_metric_gets_enough_samples_at_every_step():
     assert bent.info["budget"]["spp_added_for_the_metric"] == 16 * 16
 
 
+def overexposed(image: torch.Tensor) -> torch.Tensor:
+    return image.clamp(max=3.5).mean()
+
+
 def test_non_linearity_later_on_the_path_is_detected():
     """Steps with a single replicate are compared with the first step, where the metric was linear."""
-
-    def overexposed(image: torch.Tensor) -> torch.Tensor:
-        return image.clamp(max=3.5).mean()
-
     renderer = Glowing(noise=1.0)
     found = IntegratedGradientsScene(renderer, overexposed).attribute(n_steps=24, replicates=2, spp=48)
     assert 0 < found.info["budget"]["spp_added_for_the_metric"] < 24 * 16
+
+
+@pytest.mark.long
+def test_non_linearity_later_on_the_path_causes_no_bias():
+    renderer = Glowing(noise=1.0)
     exact = IntegratedGradientsScene(Glowing(), overexposed).attribute(n_steps=24)
     repeats = [
         IntegratedGradientsScene(renderer, overexposed).attribute(n_steps=24, seed=seed, spp=2400)
@@ -478,13 +483,20 @@ GRADIENT_METHODS = [
 ]
 
 
+FEW_SCENES = {
+    IntegratedGradientsScene: {"baselines": "dark", "n_steps": 2},
+    SmoothGradScene: {"nt_samples": 2},
+    GradientShapScene: {"baselines": "dark", "n_samples": 2},
+}
+
+
 def tone_mapped(image: torch.Tensor) -> torch.Tensor:
     return (image / (1 + image)).mean()
 
 
 @pytest.mark.parametrize("method", GRADIENT_METHODS)
 def test_gradients_are_the_same_under_no_grad(box, method):
-    settings = {"baselines": "dark"} if method in (IntegratedGradientsScene, GradientShapScene) else {}
+    settings = FEW_SCENES.get(method, {})
     attribution = method(box, tone_mapped)
     expected = attribution.attribute(spp=16, seed=shifted(), **settings)
     with torch.no_grad():

@@ -22,6 +22,8 @@ from scenecaptum import (
 
 SIGMA = 0.8
 RUNS = 60
+PLANNED = {"tolerance": 1e-9, "time_limit": 1e-9}
+QUICK = {"spp": 16, "replicates": 2}  # for what is said, whatever the numbers are
 
 
 def squares(image: torch.Tensor) -> torch.Tensor:
@@ -39,8 +41,15 @@ def exact(renderer: ReplayingToyRenderer) -> tuple[float, torch.Tensor]:
     return value.item(), gradient
 
 
-@pytest.mark.parametrize("goal", [{}, {"tolerance": 1e-9, "time_limit": 1e-9}], ids=["one round", "planned"])
-@pytest.mark.parametrize("noise", [0.02, 0.5], ids=["draws dominate", "picture and draws"])
+@pytest.mark.parametrize(
+    ("noise", "goal"),
+    [
+        pytest.param(0.02, {}, id="draws dominate-one round"),
+        pytest.param(0.5, PLANNED, id="picture and draws-planned"),
+        pytest.param(0.02, PLANNED, id="draws dominate-planned", marks=pytest.mark.long),
+        pytest.param(0.5, {}, id="picture and draws-one round", marks=pytest.mark.long),
+    ],
+)
 def test_error_bars_include_the_draws(noise, goal):
     renderer = ReplayingToyRenderer(noise)
     metric = metrics.Smoothed(squares, SIGMA, n=32)
@@ -125,12 +134,12 @@ def test_a_network_metric_says_that_its_gradient_is_rough_until_it_is_smoothed(c
     note = "effects of the rough gradient of a noisy picture, without smoothing"
     for smoothing, is_rough in ((None, True), (0.3, False)):
         asked = create(network, transform=_enlarged, smoothing=smoothing)
-        found = VanillaSceneGradient(renderer, asked).attribute(seed=shifted(0), spp=16)
+        found = VanillaSceneGradient(renderer, asked).attribute(seed=shifted(0), **QUICK)
         assert (note in str(found)) is is_rough
     ablation = FeatureAblationScene(renderer, create(network, transform=_enlarged))
-    assert note not in str(ablation.attribute(baselines=0.0, seed=shifted(0), spp=16))
+    assert note not in str(ablation.attribute(baselines=0.0, seed=shifted(0), **QUICK))
     smoothed = metrics.Smoothed(create(network, transform=_enlarged), n=16)
-    assert note not in str(VanillaSceneGradient(renderer, smoothed).attribute(seed=shifted(0), spp=16))
+    assert note not in str(VanillaSceneGradient(renderer, smoothed).attribute(seed=shifted(0), **QUICK))
 
 
 @pytest.mark.parametrize(("smoothing", "is_rough"), [(None, True), (0.3, False)])
@@ -138,7 +147,7 @@ def test_integrated_gradients_of_a_network_say_so_too(smoothing: float | None, i
     network = metrics.ShapeClassifier.pretrained()
     logit = metrics.ClassLogit(network, "cube", transform=_enlarged, smoothing=smoothing)
     path = IntegratedGradientsScene(ReplayingToyRenderer(0.001), logit)
-    said = str(path.attribute(n_steps=2, seed=shifted(0), spp=16))
+    said = str(path.attribute(n_steps=2, seed=shifted(0), **QUICK))
     assert ("effects of the rough gradient of a noisy picture, without smoothing" in said) is is_rough
 
 
@@ -150,7 +159,7 @@ def test_integrated_gradients_of_a_network_advise_samples_of_the_pictures_too():
     renderer = ReplayingToyRenderer(0.001)
     logit = metrics.ClassLogit(metrics.ShapeClassifier.pretrained(), "cube", transform=_enlarged)
     for method, more in ((VanillaSceneGradient, False), (IntegratedGradientsScene, True)):
-        found = method(renderer, logit).attribute(seed=shifted(0), spp=16)
+        found = method(renderer, logit).attribute(seed=shifted(0), **QUICK)
         # With errors that are large for certain.
         large = {name: 1e6 * torch.eye(len(one)).double() for name, one in found.covariance.items()}
         found = dataclasses.replace(found, covariance=large)
@@ -184,7 +193,7 @@ def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None
     assert few.info["picture"]["advice"].startswith("use spp=")
     assert many.info["picture"]["caution"] is None
     assert "each alone" not in str(few)
-    assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted()))
+    assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted(), replicates=2))
 
 
 def test_the_gradient_of_a_network_says_how_many_samples_a_very_noisy_picture_needs() -> None:
