@@ -26,8 +26,30 @@ from seeds import seeds
 
 SEEDS = 8
 
-# The cases that take longest to compile; the others cover the same code.
+# Each plugin with its own rule has a case in the default half: the others take longest to compile, are lit by a
+# lamp in the floor at another roughness, or follow Mitsuba's own derivative.
 LONG = (
+    "roughdielectric/lamp in the floor, alpha 0.01",
+    "roughdielectric/lamp in the floor, alpha 0.05",
+    "roughdielectric/lamp in the floor, alpha 0.3",
+    "roughplastic/lamp in the floor, alpha 0.01",
+    "roughplastic/lamp in the floor, alpha 0.05",
+    "roughplastic/lamp in the floor, alpha 0.3",
+    "principled/lamp in the floor, clearcoat_gloss 0.4",
+    "principled/lamp in the floor, clearcoat_gloss 0.9",
+    "principled/lamp in the floor, roughness 0.1",
+    "principled/lamp in the floor, roughness 0.3",
+    "polarizer/ball",
+    "retarder/ball",
+    "circular/ball",
+    "checkerboard/balls",
+    "volume/balls",
+    "spectra/rgb, rawconstant, uniform",
+    "area/in a mirror",
+    "projector/slides",
+    "directional/suns",
+    "constant/dark sky beside a lamp",
+    "envmap/scale 0 beside a lamp",
     "principled/opaque",
     "principled/specular",
     "roughplastic/roughness",
