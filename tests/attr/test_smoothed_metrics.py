@@ -193,7 +193,9 @@ def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None
     assert few.info["picture"]["advice"].startswith("use spp=")
     assert many.info["picture"]["caution"] is None
     assert "each alone" not in str(few)
-    assert "the sum of the losses of its channels, each alone" in str(method.attribute(seed=shifted(), replicates=2))
+    assert "the sum of the losses of its channels, each alone" in str(
+        method.attribute(seed=shifted(), replicates=2)
+    )
 
 
 def test_the_gradient_of_a_network_says_how_many_samples_a_very_noisy_picture_needs() -> None:

@@ -162,7 +162,9 @@ def test_errors_of_a_rating_include_what_the_denoiser_takes_from_a_bulb_of_one_p
 
 def test_the_rated_image_is_the_denoised_one_of_the_camera_of_the_values(mi):
     """What is said of the threshold is of the picture whose rating is quoted, not of its bright single samples."""
-    renderer = SceneRenderer("office", ["camera.pose.*", "emitters"], resolution=(32, 18), spp=8)
+    renderer = SceneRenderer(
+        "cornell-box", ["camera.pose.*", "emitters"], resolution=(16, 16), spp=8, max_depth=3
+    )
     turned = {**renderer.inputs, "camera.pose.rotation": torch.tensor([0.0, 0.0, 0.3])}
     glare = metrics.UnifiedGlareRating(renderer.camera)
     options = {"seed": shifted(), "replicates": 2}

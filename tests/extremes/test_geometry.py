@@ -112,7 +112,7 @@ def test_an_object_one_pixel_wide(mi):
 
 
 @hypothesis.seed(shifted())
-@settings(max_examples=3, deadline=None, database=None)
+@settings(max_examples=2, deadline=None, database=None)
 @given(exponent=st.integers(-1, 6))
 def test_scale_does_not_matter(mi, reference, exponent):
     found = attribute(room(mi, scale=10.0**exponent))

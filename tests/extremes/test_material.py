@@ -52,11 +52,16 @@ def check_furnace(oven, reflectance, radiance, rounding=2e-5):
     assert abs(z(total(found, WALLS), radiance * slope, rounding)) < allowed(8)
 
 
+@pytest.fixture(scope="module")
+def mirrors(mi):
+    return SceneRenderer(furnace(mi, MIRROR, depth=7), ["walls.bsdf.specular_reflectance.*", GLOW])
+
+
 @pytest.mark.parametrize("passed", [0.0, 0.7, 1.0])
-def test_closed_mirror_box(mi, passed):
+def test_closed_mirror_box(mirrors, passed):
     """Without noise, the light and its derivatives equal the series up to rounding."""
-    scene = furnace(mi, {**MIRROR, "specular_reflectance": rgb(passed)}, depth=7)
-    found = attribute(scene, ["walls.bsdf.specular_reflectance.*", GLOW])
+    tint = {"walls.bsdf.specular_reflectance.value": torch.full((3,), passed)}
+    found = VanillaSceneGradient(mirrors, mean).attribute({**mirrors.inputs, **tint}, seed=shifted())
     light, slope = series(passed, 7)
     assert found.metric_value == pytest.approx(light, rel=1e-5)
     assert total(found, GLOW)[0] == pytest.approx(light, rel=2e-3 if passed == 0 else 1e-5)
@@ -230,9 +235,11 @@ def test_results_carry_the_caution(radiator):
     ],
 )
 def test_below_the_lowest_roughness_there_is_no_derivative_and_a_note(mi, name, least, bsdf):
+    renderer = SceneRenderer(in_the_sky(mi, bsdf), "roughness", resolution=(8, 8), spp=16)
+
     def attribution(value):
-        scene = in_the_sky(mi, {**bsdf, name: value})
-        return attribute(scene, "roughness", resolution=(8, 8), spp=16)
+        values = {one: torch.full_like(own, value) for one, own in renderer.inputs.items()}
+        return VanillaSceneGradient(renderer, mean).attribute(values, seed=shifted())
 
     below, above = attribution(0.99 * least), attribution(1.01 * least)
     assert max(below.saliency().values()) == 0

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -108,16 +108,21 @@ def in_a_process(code: str, *arguments: Any) -> Any:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-LIST = """
-import json, sys
-from scenecaptum.scene import discover, load_scene
-from scenecaptum.scene._graph import SceneGraph
-found = {}
-for path in sys.argv[1:]:
+def names_of(path: str) -> list[Any]:
     graph = SceneGraph(load_scene(path))
     about = {name: [p.label, *p.owners] for name, p in discover(graph).items()}
-    found[path] = [list(about), about, [name for name, *_ in graph.shapes()]]
-print(json.dumps(found))
+    return [list(about), about, [name for name, *_ in graph.shapes()]]
+
+
+LIST = f"""
+import json, sys
+from typing import Any
+from scenecaptum.scene import discover, load_scene
+from scenecaptum.scene._graph import SceneGraph
+
+{inspect.getsource(names_of)}
+
+print(json.dumps({{path: names_of(path) for path in sys.argv[1:]}}))
 """
 
 
@@ -147,9 +152,9 @@ def rooms() -> list[Path]:
 
 @pytest.fixture(scope="module")
 def lists(nameless: Path, rooms: list[Path]) -> list[dict[str, Any]]:
-    """The names that two processes find in the same scenes."""
-    with ThreadPoolExecutor(2) as pool:
-        return list(pool.map(lambda _: in_a_process(LIST, nameless, *rooms), range(2)))
+    """The names that this process and another find in the same scenes."""
+    here = {str(path): names_of(str(path)) for path in (nameless, *rooms)}
+    return [json.loads(json.dumps(here)), in_a_process(LIST, nameless, *rooms)]
 
 
 def test_two_processes_give_the_same_names(nameless: Path, lists: list[dict[str, Any]]) -> None:
