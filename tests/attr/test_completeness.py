@@ -46,8 +46,18 @@ def exact(renderer: ToyRenderer, **settings) -> SceneAttribution:
     return IntegratedGradientsScene(quiet, log_mean).attribute(n_steps=128, baselines=0.0, **settings)
 
 
-@pytest.mark.parametrize("groups", [None, {"all": "*"}])
-@pytest.mark.parametrize("n_steps", [4, 8, 32])
+@pytest.mark.parametrize(
+    ("n_steps", "groups"),
+    [
+        (4, None),
+        (8, {"all": "*"}),
+        (32, None),
+        *(
+            pytest.param(*one, marks=pytest.mark.long)
+            for one in ((4, {"all": "*"}), (8, None), (32, {"all": "*"}))
+        ),
+    ],
+)
 def test_each_integral_lies_within_its_error_from_black(n_steps, groups):
     """With 8 steps the quadrature error is many times the noise."""
     renderer = Sheet(noise=0.1)

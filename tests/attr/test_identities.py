@@ -25,12 +25,34 @@ METHODS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
     "ablation": (sc.FeatureAblationScene, {"groups": "material"}),
     "shapley": (sc.ShapleyValueScene, {"groups": "kind", "n_samples": 4, "replicates": 4}),
 }
-every_method = pytest.mark.parametrize("method", METHODS)
+
+
+def quickly(*methods: str) -> list[Any]:
+    """Return all methods, of which only these are in the default half."""
+    return [pytest.param(one, marks=() if one in methods else pytest.mark.long) for one in METHODS]
+
+
+# Each method on the Cornell box, and a gradient, an integral and a game in the office.
+in_each_room = pytest.mark.parametrize(
+    ("renderer", "method"),
+    [
+        *(("cornell-box", method) for method in METHODS),
+        *(
+            pytest.param("office", *one.values, marks=one.marks)
+            for one in quickly("vanilla", "integrated", "shapley")
+        ),
+    ],
+    indirect=["renderer"],
+    scope="module",
+)
 mean_luminance = metrics.MeanLuminance()
 
 
 def log_luminance(image: torch.Tensor) -> torch.Tensor:
     return torch.log(mean_luminance(image) + 0.01)
+
+
+LUMINANCES = {"linear": mean_luminance, "log": log_luminance}
 
 
 def attribute(
@@ -59,14 +81,14 @@ def renderer(request: pytest.FixtureRequest, mi: Any) -> SceneRenderer:
     return SceneRenderer(scene, names, resolution=SIZES[request.param], spp=32, max_depth=4)
 
 
-@every_method
+@in_each_room
 def test_a_parameter_without_effect_gets_zero(renderer, method):
     found = attribute(renderer, method, groups="material")
     assert found.saliency()["secret"] <= allowed(8) * found.saliency_error()["secret"]
     assert max(found.saliency().values()) > 0
 
 
-@every_method
+@in_each_room
 def test_attributions_are_linear_in_the_metric(renderer, method):
     """Within their errors: the pixels that a backward pass samples depend on the metric."""
 
@@ -83,8 +105,32 @@ def test_attributions_are_linear_in_the_metric(renderer, method):
         assert (distance <= allowed(8, len(both)) * error + 1e-6).all(), f"{name}: {distance} of {error}"
 
 
-@pytest.mark.parametrize("metric", [mean_luminance, log_luminance], ids=["linear", "log"])
-@pytest.mark.parametrize("method", ["integrated", "gradient shap"])
+@pytest.mark.parametrize(
+    ("renderer", "method", "metric"),
+    [
+        *(
+            pytest.param("cornell-box", method, metric, id=f"cornell-box-{method}-{name}")
+            for method in ("integrated", "gradient shap")
+            for name, metric in LUMINANCES.items()
+        ),
+        pytest.param("office", "integrated", log_luminance, id="office-integrated-log"),
+        pytest.param(
+            "office", "integrated", mean_luminance, id="office-integrated-linear", marks=pytest.mark.long
+        ),
+        pytest.param(
+            "office", "gradient shap", log_luminance, id="office-gradient shap-log", marks=pytest.mark.long
+        ),
+        pytest.param(
+            "office",
+            "gradient shap",
+            mean_luminance,
+            id="office-gradient shap-linear",
+            marks=pytest.mark.long,
+        ),
+    ],
+    indirect=["renderer"],
+    scope="module",
+)
 def test_integrated_gradients_add_up(renderer, method, metric):
     found = attribute(renderer, method, metric, **({"n_steps": 8} if method == "integrated" else {}))
     assert abs(found.convergence_delta) < allowed(8) * found.convergence_delta_error
@@ -104,7 +150,7 @@ def assert_agree(first: SceneAttribution, second: SceneAttribution, names: dict[
         )
 
 
-@every_method
+@pytest.mark.parametrize("method", quickly("vanilla", "integrated", "ablation", "shapley"))
 def test_equivalent_descriptions_of_a_scene_give_equal_results(mi, method):
     """The floor's material is inline or referenced, one-sided or two-sided: the same room."""
     plain = BUNDLED["cornell-box"]()
@@ -162,7 +208,7 @@ def mean_and_error(replicates: torch.Tensor) -> tuple[float, float]:
     return replicates.mean().item(), (replicates.std() / math.sqrt(len(replicates))).item()
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "shapley"])
+@pytest.mark.parametrize("method", quickly("vanilla", "integrated", "ablation")[:-1])
 def test_equal_lamps_count_alike_and_half_lamps_share(mi, method):
     halves = of_lamps(mi, method, [-0.5, 0.5], 0.5)
     assert len(halves) == 2

@@ -277,7 +277,7 @@ class Counting(Fireflies):
         (FeatureAblationScene, {"baselines": 0.0, "spp": 3}),
     ],
 )
-@pytest.mark.parametrize("factor", [1.01, 4])
+@pytest.mark.parametrize("factor", [pytest.param(1.01, marks=pytest.mark.long), 4])
 def test_the_advised_option_gives_the_picture_as_many_times_the_samples(method, options, factor, monkeypatch):
     """Whatever defaults, rounding up, denoising, a goal or many points have made of what was set."""
 

@@ -189,7 +189,7 @@ def test_changes_go_towards_the_goal(mi):
     assert lowered.predicted < 0
 
 
-@pytest.mark.parametrize("run", range(3))
+@pytest.mark.parametrize("run", [0, *(pytest.param(run, marks=pytest.mark.long) for run in (1, 2))])
 def test_the_prediction_of_a_dimmed_map_has_the_error_of_its_scale(mi, run: int):
     texels = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(shifted(run)))
     scene = {
@@ -338,7 +338,7 @@ def test_the_caution_on_noise_says_that_it_is_of_the_relaxed_value():
     assert not any(note.startswith("quote") for note in others)
 
 
-@pytest.mark.parametrize("lamp", ["point", "spot"])
+@pytest.mark.parametrize("lamp", ["point", pytest.param("spot", marks=pytest.mark.long)])
 def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, lamp: str):
     """A rating of 0 is no finding that there is little glare: its lamps have no area, and are not rated."""
     dark = {name: stage_dict[name] for name in ("type", "camera", "ball", "ground")}
@@ -351,6 +351,9 @@ def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, 
         assert said.rating() == "no glare source found"
         assert sum("point, spot and IES lamps have no area" in note for note in said.notes()) == 1
         assert sum("check the scene's units" in note for note in said.notes()) == 1
+
+
+def test_a_room_of_other_lamps_has_a_class():
     box = SceneRenderer("cornell-box", "reflectance", resolution=(8, 8), spp=8, max_depth=3)
     said = explain(box, metrics.UnifiedGlareRating(box.camera, threshold=1.0), changes=0, seed=shifted())
     assert said.rating() != "no glare source found"

@@ -271,7 +271,7 @@ EXTREMES = {
 @every_grouping
 @pytest.mark.parametrize("relaxation", [0, 0.1, 0.5])
 @pytest.mark.parametrize("background", ["hemisphere", "mean"])
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("dtype", [torch.float32, pytest.param(torch.float64, marks=pytest.mark.long)])
 @pytest.mark.parametrize("extreme", EXTREMES)
 def test_values_and_gradients_stay_finite(rating, grouping, relaxation, background, dtype, extreme):
     image = picture(EXTREMES[extreme]).to(dtype)

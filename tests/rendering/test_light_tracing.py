@@ -68,7 +68,7 @@ def test_derivatives_of_the_surroundings_of_a_glossy_ball(
 
 @pytest.mark.parametrize(
     "ball",
-    [METAL | {"alpha": 0.1}, pytest.param(FROSTED, marks=pytest.mark.long), LACQUER],
+    [*(pytest.param(one, marks=pytest.mark.long) for one in (METAL | {"alpha": 0.1}, FROSTED)), LACQUER],
     ids=["metal", "frosted glass", "lacquer"],
 )
 def test_derivatives_of_a_whole_picture(mi: Any, ball: dict[str, Any]) -> None:
@@ -84,7 +84,7 @@ UNEVEN = np.linspace(0.08, 0.3, 64, dtype=np.float32).reshape(8, 8, 1)
 @pytest.mark.parametrize(
     ("plugin", "role", "texels", "inputs"),
     [
-        ("roughconductor", "alpha", UNEVEN, "roughness"),
+        pytest.param("roughconductor", "alpha", UNEVEN, "roughness", marks=pytest.mark.long),
         ("roughdielectric", "alpha", UNEVEN.repeat(3, 2), "ball.*"),
         ("principled", "roughness", np.full((1, 1, 1), 0.4, np.float32), "roughness"),
     ],

@@ -61,10 +61,10 @@ def assert_agrees_with_differences(renderer: SceneRenderer, name: str, step: flo
         (GLASS, "specular_transmittance.value"),
         (PANE, "specular_reflectance.value"),
         (PANE, "specular_transmittance.value"),
-        (LACQUER, "diffuse_reflectance.value"),
+        pytest.param(LACQUER, "diffuse_reflectance.value", marks=pytest.mark.long),
         (LACQUER, "specular_reflectance.value"),
         (VEIL, "opacity.value"),
-        (VEIL, "nested_bsdf.reflectance.value"),
+        pytest.param(VEIL, "nested_bsdf.reflectance.value", marks=pytest.mark.long),
     ],
 )
 def test_specular_lobes_have_derivatives(mi: Any, ball: dict[str, Any], parameter: str) -> None:

@@ -202,7 +202,9 @@ def test_a_phone_has_one_card_in_a_row(browser, tmp_path):
         context.close()
 
 
-@pytest.mark.parametrize("width", [600, 1000, 1200, 1920])
+@pytest.mark.parametrize(
+    "width", [600, 1920, *(pytest.param(w, marks=pytest.mark.long) for w in (1000, 1200))]
+)
 def test_two_cards_are_side_by_side_and_as_high_as_each_other(browser, tmp_path, width):
     note = " ".join(["valid if the lights of the scene are in W/(m² sr)"] * 3)
     path = written(tmp_path, Explanation(make(), premises=(note,)), Explanation(make(), premises=(note * 2,)))
@@ -610,7 +612,7 @@ def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
 # ---------------------------------------------------------------------------------------------------- on a phone
 
 
-@pytest.mark.parametrize("width", [340, 360, 390, 430])
+@pytest.mark.parametrize("width", [340, 430, *(pytest.param(w, marks=pytest.mark.long) for w in (360, 390))])
 def test_long_numbers_stand_within_a_narrow_page_and_do_not_break(browser, tmp_path, width):
     """The error may stand below the value, but neither is cut off or broken."""
     signed = ranged()

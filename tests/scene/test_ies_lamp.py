@@ -100,7 +100,9 @@ POSES = {
 }
 
 
-@pytest.mark.parametrize("pose", POSES)
+@pytest.mark.parametrize(
+    "pose", ["tilted", "turned", *(pytest.param(p, marks=pytest.mark.long) for p in ("down", "up"))]
+)
 def test_the_illuminance_of_a_floor_is_that_of_the_candelas(mi, file, pose):
     lamp = ies_lamp(file, **POSES[pose](mi.ScalarTransform4f()))
     renderer = SceneRenderer(floor(mi, lamp), "*.lumens", resolution=(PIXELS, PIXELS), spp=512, max_depth=2)
