@@ -80,7 +80,13 @@ def test_illuminance_is_that_of_evalglare(picture, evaluated):
     assert VerticalIlluminance(picture.camera)(image).item() == pytest.approx(report.ratings["E_v"], rel=2e-4)
 
 
-@by_name
+@pytest.mark.parametrize(
+    "picture",
+    [
+        pytest.param(picture, id=picture.name, marks=pytest.mark.long if index % 3 else ())
+        for index, picture in enumerate(PICTURES)
+    ],
+)
 def test_a_threshold_relative_to_the_mean_is_that_of_evalglare(picture, evaluated):
     image, report = evaluated(picture, "-b", "5")
     rating = UnifiedGlareRating(picture.camera, threshold_factor=5, relaxation=0, background="hemisphere")

@@ -68,7 +68,9 @@ def assert_agrees_with_differences(renderer: SceneRenderer, name: str, step: flo
     ],
 )
 def test_specular_lobes_have_derivatives(mi: Any, ball: dict[str, Any], parameter: str) -> None:
-    renderer = SceneRenderer(room(mi, ball), "ball.*", spp=256)
+    # Where each path goes does not depend on the others: the shared samples leave no noise.
+    spp = 256 if ball in (LACQUER, VEIL) else 16
+    renderer = SceneRenderer(room(mi, ball), "ball.*", spp=spp)
     assert_agrees_with_differences(renderer, f"ball.bsdf.{parameter}", 0.02, central=True)
 
 
@@ -83,7 +85,7 @@ def test_specular_lobes_have_derivatives(mi: Any, ball: dict[str, Any], paramete
 def test_derivatives_at_exactly_zero_are_those_just_above(
     mi: Any, ball: dict[str, Any], parameter: str, step: float
 ) -> None:
-    renderer = SceneRenderer(room(mi, ball), "ball.*", spp=256)
+    renderer = SceneRenderer(room(mi, ball), "ball.*", spp=16)
     assert_agrees_with_differences(renderer, f"ball.bsdf.{parameter}", step, central=False)
 
 

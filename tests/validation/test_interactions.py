@@ -178,7 +178,7 @@ def box(mi):
     return SceneRenderer("cornell-box", inputs, resolution=(16, 16), spp=128, max_depth=4)
 
 
-@pytest.mark.parametrize("metric", [metrics.MeanLuminance(), log_mean])
+@pytest.mark.parametrize("metric", [pytest.param(metrics.MeanLuminance(), marks=pytest.mark.long), log_mean])
 def test_the_matrix_is_symmetric_and_agrees_with_finite_differences(box, metric):
     gradient = VanillaSceneGradient(box, metric).attribute(replicates=PASSES)
     found = interactions(box, metric, gradient, replicates=PASSES)
