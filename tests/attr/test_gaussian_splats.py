@@ -47,7 +47,9 @@ def bright(image: torch.Tensor) -> torch.Tensor:
     return torch.sigmoid((image - 0.4) / 0.1).mean()
 
 
-every_metric = pytest.mark.parametrize("metric", [splats.redness, bright])
+every_metric = pytest.mark.parametrize(
+    "metric", [pytest.param(splats.redness, marks=pytest.mark.long), bright]
+)
 
 
 @pytest.fixture(scope="module")

@@ -115,7 +115,10 @@ def test_captums_delta_is_ours():
     assert attribution.convergence_delta == pytest.approx(theirs.item(), abs=1e-5)
 
 
-@pytest.mark.parametrize("nt_type", ["smoothgrad", "smoothgrad_sq", "vargrad"])
+@pytest.mark.parametrize(
+    "nt_type",
+    ["smoothgrad_sq", *(pytest.param(one, marks=pytest.mark.long) for one in ("smoothgrad", "vargrad"))],
+)
 def test_noise_tunnel_agrees_within_its_error(nt_type):
     """Inside the bounds, where reflection does nothing; both draw independent noise."""
     renderer, count = Glowing(), 400

@@ -391,7 +391,7 @@ def test_images_can_have_a_separate_sample_budget():
     renderer, rating = Fireflies(), glare()
     method, errors = VanillaSceneGradient(renderer, rating), {}
     for spp in (16, 512):
-        found = [method.attribute(seed=seed, picture_spp=spp) for seed in seeds(8)]
+        found = [method.attribute(seed=seed, picture_spp=spp) for seed in seeds(4)]
         assert {one.info["picture"]["spp"] for one in found} == {spp}
         errors[spp] = sum(one.metric_standard_error for one in found)
     assert errors[512] < errors[16]
@@ -405,9 +405,13 @@ def test_images_can_have_a_separate_sample_budget():
 def test_every_method_obeys_the_denoise_option(method):
     renderer, rating = Fireflies(), glare()
     half = dict.fromkeys(renderer.inputs, 0.5)
-    baselines = {} if method is sc.SmoothGradScene else {"baselines": half}
+    options = {
+        sc.IntegratedGradientsScene: {"baselines": half, "n_steps": 4},
+        sc.SmoothGradScene: {},
+        FeatureAblationScene: {"baselines": half},
+    }
     renderer.bounds = dict.fromkeys(renderer.inputs, (0.0, 2.0))
-    found = method(renderer, rating).attribute(seed=shifted(0), spp=64, denoise=True, **baselines)
+    found = method(renderer, rating).attribute(seed=shifted(0), spp=64, denoise=True, **options[method])
     assert found.info["picture"]["denoised"]
     exact = rating(renderer.exact(renderer.inputs)).item()
     assert abs(found.metric_value - exact) < 5 * found.metric_standard_error

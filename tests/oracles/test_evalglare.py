@@ -130,7 +130,14 @@ COLOURS = {"candle": (1.6, 0.9, 0.35), "sky": (0.7, 0.95, 2.2), "sodium": (1.9, 
 
 
 @pytest.mark.parametrize("colour", COLOURS)
-@pytest.mark.parametrize("name", ["merged", "sun-in-a-window", "perspective-three", "window-of-three-panes"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(one, marks=pytest.mark.long) for one in ("merged", "window-of-three-panes")),
+        "sun-in-a-window",
+        "perspective-three",
+    ],
+)
 def test_coloured_images_agree_in_radiance_primaries(evalglare, tmp_path, name, colour):
     # A render has Rec. 709 primaries, which evalglare does not know; luminance does not depend on the choice.
     picture = next(picture for picture in PICTURES if picture.name == name)

@@ -56,7 +56,9 @@ def test_the_expected_count_is_in_proportion_to_the_probability() -> None:
     assert ((mean - expected).abs() < allowed(2000, 48) * error + 1e-3).all()
 
 
-@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian", "lanczos"])
+@pytest.mark.parametrize(
+    "rfilter", ["box", pytest.param("tent", marks=pytest.mark.long), "gaussian", "lanczos"]
+)
 def test_importance_sampled_pixels_give_the_derivative_of_the_image(mi: Any, rfilter: str) -> None:
     from scenecaptum.scene.bundled import cornell_box
 
