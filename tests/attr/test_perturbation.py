@@ -228,7 +228,13 @@ def test_standard_error_is_the_spread_over_repeats_and_the_mean_is_right(run, tr
     assert (z.abs() < allowed(REPEATS, z.numel())).all(), f"bias in standard errors {z.tolist()}"
 
 
-@pytest.mark.parametrize(("nearness", "noise"), [(0.05, 0.3), (0.7, 0.01)], ids=["rendering", "permutations"])
+@pytest.mark.parametrize(
+    ("nearness", "noise"),
+    [
+        pytest.param(0.05, 0.3, id="rendering", marks=pytest.mark.long),
+        pytest.param(0.7, 0.01, id="permutations"),
+    ],
+)
 def test_shapley_error_bars_include_render_noise_and_the_choice_of_permutations(nearness, noise):
     """Close to the baselines there is hardly any interaction, and the error is render noise."""
     renderer = PartsRenderer(noise)

@@ -87,7 +87,7 @@ def expected(mi: Any) -> tuple[torch.Tensor, Tensors, Tensors]:
     return picture_and_gradients(make("cornell-box"))
 
 
-@pytest.mark.parametrize("count", [1, 2, 4])
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.long), 4])
 def test_on_any_number_of_threads(expected: Any, count: int) -> None:
     with threads(count):
         assert_same(picture_and_gradients(make("cornell-box")), expected)

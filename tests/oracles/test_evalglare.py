@@ -21,7 +21,28 @@ from .pictures import Picture, disc, pictures, room
 from .radiance import EFFICACY, run_evalglare, view_line, write_coloured, write_picture
 
 PICTURES = pictures()
-by_name = pytest.mark.parametrize("picture", PICTURES, ids=lambda picture: picture.name)
+# Pictures whose phenomenon another picture has: a direction, a gradient, several sources, a window, a camera.
+LONG = {
+    *(
+        "one-high",
+        "one-below",
+        "one-far-below",
+        "one-to-the-side",
+        "graded",
+        "separate",
+        "row-of-four",
+        "eight",
+    ),
+    *("window", "two-suns-in-a-window", "bright-room"),
+    *("perspective-one", "perspective-below", "perspective-tall", "perspective-merged"),
+}
+by_name = pytest.mark.parametrize(
+    "picture",
+    [
+        pytest.param(picture, id=picture.name, marks=pytest.mark.long if picture.name in LONG else ())
+        for picture in PICTURES
+    ],
+)
 
 
 @pytest.fixture(scope="session")
@@ -80,13 +101,7 @@ def test_illuminance_is_that_of_evalglare(picture, evaluated):
     assert VerticalIlluminance(picture.camera)(image).item() == pytest.approx(report.ratings["E_v"], rel=2e-4)
 
 
-@pytest.mark.parametrize(
-    "picture",
-    [
-        pytest.param(picture, id=picture.name, marks=pytest.mark.long if index % 3 else ())
-        for index, picture in enumerate(PICTURES)
-    ],
-)
+@by_name
 def test_a_threshold_relative_to_the_mean_is_that_of_evalglare(picture, evaluated):
     image, report = evaluated(picture, "-b", "5")
     rating = UnifiedGlareRating(picture.camera, threshold_factor=5, relaxation=0, background="hemisphere")

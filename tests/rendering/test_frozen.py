@@ -133,7 +133,17 @@ def light_traced(mi: Any) -> SceneRenderer:
     return SceneRenderer(furnished_room(), inputs, resolution=(11, 7), spp=16, max_depth=4)
 
 
-@pytest.mark.parametrize("name", [*METHODS, "planner", "tradeoff"])
+# The methods that take gradients differ in where they take them, and those that change inputs in which.
+QUICK = {"gradient", "integrated-gradients", "ablation", "planner", "tradeoff"}
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.long)
+        for name in (*METHODS, "planner", "tradeoff")
+    ],
+)
 def test_no_method_records_a_kernel_again(recorded: list[str], furnished: SceneRenderer, name: str) -> None:
     check_recordings(recorded, furnished, name)
 

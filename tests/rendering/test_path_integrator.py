@@ -89,8 +89,19 @@ def test_derivatives_at_exactly_zero_are_those_just_above(
     assert_agrees_with_differences(renderer, f"ball.bsdf.{parameter}", step, central=False)
 
 
-@pytest.mark.parametrize("ball", [MIRROR, GLASS, LACQUER, VEIL], ids=lambda ball: ball["type"])
-@pytest.mark.parametrize("settings", [{}, {"hide_emitters": True}, {"max_depth": -1}], ids=str)
+@pytest.mark.parametrize(
+    ("settings", "ball"),
+    [
+        pytest.param(
+            settings,
+            ball,
+            id=f"{settings}-{ball['type']}",
+            marks=pytest.mark.long if settings and is_long else (),
+        )
+        for settings in ({}, {"hide_emitters": True}, {"max_depth": -1})
+        for ball, is_long in ((MIRROR, True), (GLASS, False), (LACQUER, True), (VEIL, False))
+    ],
+)
 def test_pictures_are_those_of_mitsubas_path_tracer(
     mi: Any, ball: dict[str, Any], settings: dict[str, Any]
 ) -> None:

@@ -141,7 +141,7 @@ def test_the_jumps_of_a_metric_are_part_of_its_noise():
     assert len(contradicted) <= 0.05 * len(rows), contradicted
 
 
-@pytest.mark.parametrize("metric", [metrics.MeanLuminance(), log_mean])
+@pytest.mark.parametrize("metric", [pytest.param(metrics.MeanLuminance(), marks=pytest.mark.long), log_mean])
 def test_on_the_cornell_box(mi, metric):
     renderer = SceneRenderer("cornell-box", ["reflectance", "emitters"], resolution=(16, 16), spp=256)
     test = ablation_test(renderer, metric, top=4)
