@@ -66,13 +66,15 @@ def global_generators() -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_teardown() -> Generator[None, Any, Any]:
-    """Free the scenes of a test when it and its fixtures have ended.
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None, Any, Any]:
+    """Free the scenes of a file when its last test has ended.
 
-    Dr.Jit compiles the objects of all scenes in the process into each kernel, and renderers are in cycles.
+    Dr.Jit compiles the objects of all scenes in the process into each kernel, and renderers are in cycles. After
+    each test this would take longer than it saves.
     """
     result = yield
-    gc.collect()
+    if nextitem is None or nextitem.path != item.path:
+        gc.collect()
     return result
 
 
@@ -80,9 +82,7 @@ def pytest_runtest_teardown() -> Generator[None, Any, Any]:
 def mi() -> Any:
     from scenecaptum.backend import activate
 
-    variant = activate()
-    gc.freeze()  # what is imported stays, and need not be searched after each test
-    return variant
+    return activate()
 
 
 @pytest.fixture(scope="session")
