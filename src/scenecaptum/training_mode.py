@@ -33,12 +33,12 @@ def warn_of_training_mode(function: Callable[..., Any]) -> None:
 
 
 def _trains(network: torch.nn.Module) -> bool:
-    """Whether a layer that acts otherwise in training mode is in it."""
-    return any(layer.training and _acts_otherwise(layer) for layer in _layers(network))
+    """Whether it has a layer in training mode that behaves differently there."""
+    return any(layer.training and _differs_in_training(layer) for layer in _layers(network))
 
 
-def _acts_otherwise(layer: torch.nn.Module) -> bool:
-    """Whether a layer itself, without those in it, acts otherwise in training mode.
+def _differs_in_training(layer: torch.nn.Module) -> bool:
+    """Whether a layer itself, without those in it, behaves differently in training mode.
 
     What is not known, a class outside ``torch.nn`` or a layer with hooks such as spectral normalization, may do so
     if it has parameters or buffers, or a method that reads ``training``.
