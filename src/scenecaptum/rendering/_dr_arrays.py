@@ -21,7 +21,11 @@ def flat(value: Any) -> Any:
 
 
 def owned(value: Any) -> Any:
-    """Copy into Dr.Jit's own memory, because a frozen function would keep reading borrowed memory."""
+    """Copy into Dr.Jit's own memory.
+
+    A frozen function would keep reading borrowed memory. And NumPy's arrays start at any address, but a kernel is
+    compiled for memory that is aligned, or for any.
+    """
     array = value.array if dr.is_tensor_v(value) else value
     # Dr.Jit cannot optimize away the addition of an opaque zero.
     copied = array + dr.opaque(type(array), 0)

@@ -21,6 +21,7 @@ from ..scene import SceneGraph, SceneParameters
 from ._bridge import evaluate
 from ._chunks import MAX_SAMPLES
 from ._derivative_routes import DIFFERENCE_SPP_DIVISOR, derivative_routes
+from ._dr_arrays import owned
 from ._frozen import FrozenFunction, clear
 from ._importance_maps import ImportanceMaps
 from ._live_scene import LiveScene, Values
@@ -253,7 +254,7 @@ class Pilots:
         y, x = np.divmod(np.arange(width * height), width)
         block = y // side * -(-width // side) + x // side
         blocks = int(block.max()) + 1
-        tables = groups.of_shape, groups.of_emitter, mi.UInt32(block), blocks
+        tables = groups.of_shape, groups.of_emitter, owned(mi.UInt32(block)), blocks
         shape = len(groups.parameters), blocks
         sums = Sums.zeros(max(1, shape[0] * blocks))
         scene, scalars = self.live.scene, self.live.state.scalars

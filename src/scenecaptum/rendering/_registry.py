@@ -9,6 +9,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from ._dr_arrays import owned
+
 
 def shape_index(shape: Any) -> int:
     """Return Dr.Jit's index of a shape."""
@@ -40,4 +42,4 @@ def index_table(values: Mapping[int, int], other: int) -> mi.UInt32:
         length *= 2
     table = np.full(length, other, np.uint32)
     table[list(values)] = list(values.values())
-    return mi.UInt32(table)
+    return owned(mi.UInt32(table))
