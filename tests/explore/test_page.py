@@ -193,7 +193,7 @@ def test_designs_are_saved_shown_and_compared_in_all_tabs(window, browser, serve
 
 def test_an_object_in_the_picture_has_its_parameters(window):
     box = window.all("picture").bounding_box()
-    window.page.mouse.click(box["x"] + 0.06 * box["width"], box["y"] + 0.4 * box["height"])
+    window.all("picture").click(position={"x": 0.06 * box["width"], "y": 0.4 * box["height"]})
     wait_for(lambda: "left_wall" in window.text("chosen"))
     window.all("chosen").get_by_role("button", name="left_wall: reflectance").click()
     focused = window.page.evaluate("document.activeElement.closest('.explore-slider').dataset.name")
