@@ -56,6 +56,37 @@ def test_guides_follow_mirrors_and_have_no_noise(mirrored):
     assert mirrored.guides is guides
 
 
+def test_a_veil_hides_its_share_of_the_wall_beside_mirrors_too(mi: Any) -> None:
+    """A ray that ended at the veil must not set out again while others go on between two mirrors."""
+    transform = mi.ScalarTransform4f
+
+    def panel(x: float, z: float, size: float, turn: float, bsdf: dict[str, Any]) -> dict[str, Any]:
+        place = transform().translate([x, 0, z]).rotate([0, 1, 0], turn).scale(size)
+        return {"type": "rectangle", "to_world": place, "bsdf": {"type": "twosided", "nested": bsdf}}
+
+    def grey(value: float) -> dict[str, Any]:
+        return {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
+
+    veil = panel(-1, 0, 1, 0, {})
+    veil["bsdf"] = {"type": "mask", "opacity": 0.5, "nested": {"type": "twosided", "nested": grey(0.2)}}
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 40,
+            "to_world": transform().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 16, "height": 16},
+        },
+        "veil": veil,
+        "wall": panel(-5, -1, 5, 0, grey(0.8)),
+        "mirror": panel(1, 0, 1, 0, {"type": "conductor"}),
+        "behind": panel(0, 3, 5, 180, {"type": "conductor"}),
+        "lamp": {"type": "point", "position": [0, 1, 1]},
+    }
+    renderer = SceneRenderer(scene, "emitters", spp=4)
+    torch.testing.assert_close(renderer.guides.albedo[:, :7], torch.full((16, 7, 3), 0.5))
+
+
 def test_the_captum_bridge_denoises_on_request(mirrored):
     def metric(image: torch.Tensor) -> torch.Tensor:
         return image.square().mean()

@@ -33,11 +33,12 @@ def _guide_rays(
     with dr.suspend_grad():
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
+        ray, hit = follow_specular(scene, ray, hit, pixel, point)
         si = hit.compute_surface_interaction(ray)
-        si, _, _ = follow_specular(scene, si, hit, ray.d, pixel, point)
         valid = dr.max(weight) > 0  # not outside a fisheye's circle
         albedo = dr.select(valid, _albedo(si), 0)
         normal = dr.select(valid & si.is_valid(), si.sh_frame.n, 0)
+        dr.eval(albedo, normal)  # in one kernel; each sum would have one of its own
         means = [
             dr.block_reduce(dr.ReduceOp.Add, mi.Float(channel), RAYS) / RAYS
             for guide in (albedo, normal)

@@ -95,14 +95,12 @@ def _trace(
     with dr.suspend_grad():
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        interaction, direction, coordinates = hit, ray.d, []
+        interaction, coordinates = hit, []
+        if through:
+            ray, hit = follow_specular(scene, ray, hit, pixel, point)
         if textures or through:
             interaction = hit.compute_surface_interaction(ray)
-            if through:
-                interaction, hit, direction = follow_specular(
-                    scene, interaction, hit, direction, pixel, point
-                )
-            coordinates = [texture.coordinates(interaction, hit, direction) for texture in textures]
+            coordinates = [texture.coordinates(interaction, hit, ray.d) for texture in textures]
         shape, instance = (
             dr.reinterpret_array(mi.UInt32, pointer) for pointer in (interaction.shape, interaction.instance)
         )
@@ -142,38 +140,38 @@ def camera_rays(
     return one_for_each(ray, position), weight, pixel, point
 
 
-def follow_specular(
-    scene: Any, si: Any, hit: Any, direction: Any, pixel: Any, point: Any
-) -> tuple[Any, Any, Any]:
+def follow_specular(scene: Any, ray: Any, hit: Any, pixel: Any, point: Any) -> tuple[Any, Any]:
     """Follow rays by specular reflection and transmission to the first surface that also scatters light.
 
     Where a surface reflects and transmits, the rays of a pixel are split as its light is. Emitters, and
-    surfaces with a smooth lobe too (varnish), end a ray.
+    surfaces with a smooth lobe too (varnish), end a ray. Returns the last piece of each ray and what it hits.
     """
     context = mi.BSDFContext()
-    for number in range(MAX_SPECULAR_BOUNCES):
-        # A literal would have the kernel compiled again for each bounce.
-        bounce = dr.opaque(mi.UInt32, number)
+
+    def follow(ray: Any, hit: Any, bounce: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+        si = hit.compute_surface_interaction(ray, active=active)
         bsdf = si.bsdf()
         # Stratified lobe selection: one ray of the pixel in each sixteenth. The strata are permuted at each
         # bounce, so that the lobes of successive surfaces are uncorrelated.
         stratum = ((2 * bounce + 7) * point + 5 * bounce) % RAYS
         lobe = (mi.Float(stratum) + mi.sample_tea_float32(pixel, bounce)) / RAYS
-        active = si.is_valid() & ~si.shape.is_emitter()
+        active &= si.is_valid() & ~si.shape.is_emitter()
         purely_specular = ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         sample, value = bsdf.sample(context, si, lobe, mi.Point2f(0.5), active)
         is_null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
         is_delta = purely_specular & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         active &= (is_null | is_delta) & (dr.max(value) > 0)
-        if not dr.any(active):
-            break
-        ray = si.spawn_ray(si.to_world(sample.wo))
-        direction = dr.select(active, ray.d, direction)
-        next_hit = scene.ray_intersect_preliminary(ray, active=active)
-        si = dr.select(active, next_hit.compute_surface_interaction(ray, active=active), si)
-        hit = dr.select(active, next_hit, hit)
-        dr.eval(si, hit, direction)
-    return si, hit, direction
+        further = si.spawn_ray(si.to_world(sample.wo))
+        next_hit = scene.ray_intersect_preliminary(further, active=active)
+        return dr.select(active, further, ray), dr.select(active, next_hit, hit), bounce + 1, active
+
+    # A symbolic loop: its body is compiled once, together with what follows.
+    ray, hit, _, _ = dr.while_loop(
+        (mi.Ray3f(ray), hit, dr.zeros(mi.UInt32, dr.width(pixel)), mi.Bool(True)),
+        lambda ray, hit, bounce, active: active & (bounce < MAX_SPECULAR_BOUNCES),
+        follow,
+    )
+    return ray, hit
 
 
 @dataclass
