@@ -28,7 +28,7 @@ def clear_from(info: Mapping[str, Any]) -> float:
     >>> round(clear_from({"replicates": 16, "degrees_of_freedom": 5}), 2)
     2.57
     """
-    degrees = _degrees(info)
+    degrees = degrees_of_freedom(info)
     return 2.0 if degrees >= _ENOUGH_DEGREES else student_t(0.95, degrees)
 
 
@@ -43,7 +43,7 @@ def all_clear_from(errors: Iterable[float | None], info: Mapping[str, Any]) -> f
     (2.36, 4.03)
     """
     noisy = sum(bool(error) for error in errors)
-    return student_t(1 - FALSE_ALARMS / noisy, _degrees(info)) if noisy else 0.0
+    return student_t(1 - FALSE_ALARMS / noisy, degrees_of_freedom(info)) if noisy else 0.0
 
 
 def rankable(
@@ -77,11 +77,13 @@ def rankable(
 
     clear = beyond(all_clear_from(errors.values(), info)) | (sizes.keys() & known)
     smallest = min((sizes[name] for name in clear), default=math.inf)
-    return clear | {name for name in beyond(student_t(1 - CHANCE, _degrees(info))) if sizes[name] > smallest}
+    return clear | {
+        name for name in beyond(student_t(1 - CHANCE, degrees_of_freedom(info))) if sizes[name] > smallest
+    }
 
 
-def _degrees(info: Mapping[str, Any]) -> int:
-    """Return the degrees of freedom of the errors, at least 1."""
+def degrees_of_freedom(info: Mapping[str, Any]) -> int:
+    """Return the degrees of freedom of the errors of a result, at least 1: those of its replicates, or fewer."""
     return max(1, int(info.get("degrees_of_freedom", info.get("replicates", _ENOUGH_DEGREES + 1) - 1)))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -325,7 +326,9 @@ def test_no_note_has_a_mark_that_no_row_has(tmp_path: Path) -> None:
         assert mark not in ("!", "?", "–") or f" {mark} " in tables, note
 
 
-def test_a_sum_of_losses_of_parts_removed_alone_is_called_so(run: Any, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def removed(tmp_path_factory: pytest.TempPathFactory, mi: Any) -> StudyResult:
+    """What a room loses without its parts: one at a time, together, and shared out among them."""
     methods = {
         "alone": {"method": "ablation"},
         "together": {"method": "ablation", "groups": "kind"},
@@ -339,20 +342,35 @@ def test_a_sum_of_losses_of_parts_removed_alone_is_called_so(run: Any, tmp_path:
         spp=4,
         max_depth=2,
     )
-    result = run(study, tmp_path)
+    with ThreadPoolExecutor(1) as thread:
+        result = study.run(tmp_path_factory.mktemp("removed"), executor=thread, threads=None)
     assert not result.failures
+    return result
 
+
+@pytest.mark.parametrize("method", ["together", "shapley"])
+def test_intervals_of_removals_have_the_degrees_of_freedom_of_their_replicates(
+    removed: StudyResult, method: str
+) -> None:
+    rows = removed.summary(method=method).rows
+    assert rows
+    for row in rows:
+        (room,) = row.rooms
+        assert room.high - room.low == pytest.approx(2 * student_t(0.95, 7) * room.error)
+
+
+def test_a_sum_of_losses_of_parts_removed_alone_is_called_so(removed: StudyResult) -> None:
     def note(summary: Summary) -> str:
         return "".join(one for one in summary.notes() if "each alone" in one)
 
-    assert note(result.summary(method="alone")) == (
+    assert note(removed.summary(method="alone")) == (
         "the sum of the losses of its parameters, channels or patches, each alone: groups of the method, such as "
         '{"method": "ablation", "groups": "kind"}, remove them together'
     )
-    assert "each alone" in str(result.summary(None, method="alone")), "of the channels of a colour"
-    assert not note(result.summary(method="together"))
-    assert not note(result.summary({"both": ["reflectance", "emitters"]}, method="shapley")), "they add up"
-    assert "each alone (emitters · alone, reflectance · alone): " in note(result.summary())
+    assert "each alone" in str(removed.summary(None, method="alone")), "of the channels of a colour"
+    assert not note(removed.summary(method="together"))
+    assert not note(removed.summary({"both": ["reflectance", "emitters"]}, method="shapley")), "they add up"
+    assert "each alone (emitters · alone, reflectance · alone): " in note(removed.summary())
 
 
 @pytest.mark.parametrize(("patch_texels", "parts"), [(24, 1), (12, 2), (5, 5)])

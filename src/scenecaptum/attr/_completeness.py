@@ -9,8 +9,9 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from ..estimation import TargetedMetric, covariance_of_mean, mean_and_error, pseudo_values
+from ..student import degrees_of_freedom
 from ._attribution import SceneAttribution
-from ._convergence import convergence, freedom_of
+from ._convergence import convergence
 from ._method import Result, Run
 
 
@@ -52,7 +53,7 @@ def with_convergence(
     magnitude = sum(tensor.double().abs().sum().item() for tensor in attribution.values())
     info = {
         **attribution.info,
-        **convergence(delta, error, value, magnitude, freedom_of(attribution.info)),
+        **convergence(delta, error, value, magnitude, degrees_of_freedom(attribution.info)),
         "quadrature_error": None if error is None else quadrature_error,
     }
     return dataclasses.replace(attribution, convergence_delta=delta, convergence_delta_error=error, info=info)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -56,8 +55,3 @@ def verdict(delta: float, error: float | None, explained: float, freedom: int, r
         return ADDS_UP
     beyond = student_t(1 - FALSE_ALARMS, freedom) * error + allowed
     return DOES_NOT_ADD_UP if abs(delta) > beyond else INCONCLUSIVE
-
-
-def freedom_of(info: Mapping[str, Any]) -> int:
-    """Return the degrees of freedom of the errors of a result, at least one."""
-    return max(1, int(info.get("degrees_of_freedom", info.get("replicates", 1) - 1)))

@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch.nn.functional import pad
 
+from ..student import degrees_of_freedom
 from ..visualization import rounded
 from ._baseline_words import have_same_baselines
-from ._convergence import convergence, freedom_of
+from ._convergence import convergence
 from ._data import AttributionData, Tensors, covariances
 from ._quadrature_error import covariance_of_quadrature
 
@@ -166,7 +167,7 @@ def _info(a: AttributionData, b: AttributionData) -> dict[str, Any]:
         return info
     error = _hypot(a.convergence_delta_error, b.convergence_delta_error)
     magnitude = abs(explained_a) + abs(explained_b)
-    freedom = min(freedom_of(side.info) for side in (a, b))
+    freedom = min(degrees_of_freedom(side.info) for side in (a, b))
     return info | convergence(delta, error, explained_a - explained_b, magnitude, freedom)
 
 

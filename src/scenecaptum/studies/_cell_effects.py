@@ -12,6 +12,7 @@ from ..attr import SceneAttribution, sum_groups
 from ..errors import SceneCaptumError, near_misses
 from ..estimation import channel_totals
 from ..protocols import ResultKind
+from ..student import degrees_of_freedom
 from ..visualization import axis_label, sign_labels
 from ._recipe import Cell
 
@@ -138,7 +139,7 @@ def _effects_of(
 ) -> Iterator[CellEffect]:
     """Yield the sum of each group's effects; its error accounts for their covariance."""
     summed = sum_groups(attribution, members)
-    errors, degrees = summed.effects_error(), max(1, int(attribution.info.get("degrees_of_freedom", 1)))
+    errors, degrees = summed.effects_error(), degrees_of_freedom(attribution.info)
     quantity = Quantity(axis_label(summed), sign_labels(summed))
     doubts = _doubts(attribution, summed, members)
     for name, effect in summed.effects().items():
