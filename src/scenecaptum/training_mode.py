@@ -24,9 +24,10 @@ def warn_of_training_mode(function: Callable[..., Any]) -> None:
     name = getattr(function, "__name__", type(function).__name__)
     for place, network in _networks(function):
         if _trains(network):
+            state = "is in training mode" if network.training else "has layers in training mode"
             calls = "" if network is function else f" calls {place} ({type(network).__name__}), which"
             warnings.warn(
-                f"{name}{calls} is in training mode: dropout and batch normalization act as in training, and "
+                f"{name}{calls} {state}: dropout and batch normalization act as in training, and "
                 f"running statistics change. Call .eval() on {place} first.",
                 stacklevel=_outside(),
             )

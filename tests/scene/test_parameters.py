@@ -308,6 +308,8 @@ def test_selections_come_in_the_scenes_order_once_each(zoo: SceneParameters) -> 
         ("reflectanse", ["matches no parameter", "'reflectance'", "parameters_table()"]),
         ("shared.reflectance.valu", ["matches no parameter", "'shared.reflectance.value'"]),
         (["reflectance", "nothing.*"], ["'nothing.*'", "matches no parameter"]),
+        ("emitter", ["matches no parameter", "Did you mean 'emitters'?"]),
+        ("shared", ["matches no parameter", "Did you mean 'shared.*'?"]),
         ("*.to_world", ["none of which can be differentiated", "eye.to_world", "camera"]),
         ([], ["selects nothing", "reflectance"]),
         ([3], ["int"]),
@@ -316,6 +318,12 @@ def test_selections_come_in_the_scenes_order_once_each(zoo: SceneParameters) -> 
 def test_an_empty_selection_is_explained(zoo: SceneParameters, inputs: Any, words: list[str]) -> None:
     said = message(lambda: select(zoo, inputs))
     assert [word for word in words if word not in said] == [], said
+
+
+def test_a_kind_that_the_scene_lacks_is_answered_with_those_that_it_has() -> None:
+    scene = {"type": "scene", "eye": {"type": "perspective"}, "lamp": {"type": "point"}}
+    said = message(lambda: select(discover_in(scene), "media"))
+    assert said.endswith("the scene has no parameter of this kind. It has emitters, poses, camera, all.")
 
 
 @pytest.mark.parametrize(

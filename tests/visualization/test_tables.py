@@ -16,6 +16,7 @@ from scenecaptum.protocols import ResultKind
 from scenecaptum.visualization import (
     align_decimals,
     plot_bars,
+    row_cautions,
     shorten,
     table_html,
     table_text,
@@ -237,6 +238,21 @@ def test_every_small_roughness_has_a_mark_and_the_note_names_the_leading_ones() 
     assert "~ big.alpha and 2 more: a small roughness often acts most near 0" in " ".join(text.split())
     without = table_text(result([name for name in effects if name != "big.alpha"]))
     assert "~ small.alpha and 1 more: a small roughness often acts" in " ".join(without.split())
+
+
+def test_the_caution_of_a_row_in_a_file_names_that_row() -> None:
+    names = ("floor.alpha", "wall.alpha")
+    found = row_cautions(
+        dataclasses.replace(
+            make(barred=False),
+            attributions={name: torch.tensor(1.0) for name in names},
+            parameter_values={name: torch.tensor(0.02) for name in names},
+            extents={name: torch.ones(1) for name in names},
+            labels={},
+        )
+    )
+    for name in names:
+        assert found[name].startswith(f"~ {name}: a small roughness often acts"), found
 
 
 def lowest(name: str, value: float, gradient: float = 0.0) -> SceneAttribution:

@@ -266,12 +266,13 @@ class TargetedMetric:
         if "Can't call numpy()" in error:
             return (
                 f"The metric {self.name} leaves torch for NumPy, which has no derivatives: write it in torch "
-                "operations, without .numpy(), .item() or float()."
+                "operations, without .numpy(), .item() or float(). For a method without gradients, such as an "
+                "ablation, image.detach().numpy() will do."
             )
         if re.search(r"(same|mixed) dtype|type \(.*\) should be the same|scalar type \w+ but found", error):
             return (
-                f"The metric {self.name} mixes numbers of different precision; the image is {image.dtype}: use "
-                f"network.float() or image.double(). torch says: {error}"
+                f"The metric {self.name} mixes numbers of different precision; the image is {image.dtype}: "
+                f"convert it or what it meets, as by image.double() or network.float(). torch says: {error}"
             )
         return None
 

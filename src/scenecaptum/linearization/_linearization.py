@@ -46,7 +46,10 @@ class Gradient:
 
 @dataclass(frozen=True)
 class Derivative:
-    """The derivatives along a slider: ``images``, ``(images, H, W, 3)``, and the ``gradients`` of the metrics."""
+    """The derivatives along a slider: ``images``, ``(images, H, W, 3)``, and the ``gradients`` of the metrics.
+
+    Of what moves there are no images.
+    """
 
     images: torch.Tensor
     gradients: list[Gradient]
@@ -231,13 +234,17 @@ class Linearization:
                 along = beyond.double().reshape(-1)  # the slider of a pose has its numbers
                 turned = turned + (along if turned @ along >= 0 else -along)
             gradients.append(Gradient(products[0] if rows is None else rows, turned))
-        guides = self.designs.renderer.guides_of(self.designs.values(self.start.design))
-        denoised = torch.stack([_denoise_signed(one, guides) for one in images.mean(1)])
-        self._derived[slider.name] = Derivative(denoised, gradients)
+        shown = images.mean(1) if slider.is_shown else images.new_zeros(0, *images.shape[2:])
+        if slider.is_shown:
+            guides = self.designs.renderer.guides_of(self.designs.values(self.start.design))
+            shown = torch.stack([_denoise_signed(one, guides) for one in shown])
+        self._derived[slider.name] = Derivative(shown, gradients)
         return self._derived[slider.name]
 
     def predict(self, design: Design) -> tuple[torch.Tensor, list[tuple[float, float]]]:
         """Return the picture of a design, and the change of each metric with its standard error, to first order.
+
+        The picture shows objects, lamps and the camera where they are at the start.
 
         Raises
         ------

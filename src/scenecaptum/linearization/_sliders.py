@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeAlias
 import torch
 
 from ..errors import SceneCaptumError
-from ..scene import OPEN_MARGIN, Parameter
+from ..scene import MOVING_KINDS, OPEN_MARGIN, Parameter
 
 Form: TypeAlias = Literal["color", "channels", "vector", "scalar", "dimmer", "offset"]
 Place: TypeAlias = "tuple[float, ...]"
@@ -59,6 +59,11 @@ class Slider:
         """Whether each number changes one channel of the picture, so that one image has all derivatives."""
         return self.form in ("color", "channels")
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether the predicted picture shows what it does: not of a move, which would be ghosts and noise."""
+        return self.kind not in MOVING_KINDS
+
     def tensor(self, place: Place) -> torch.Tensor:
         """Return the value of the parameter where the slider stands at a place."""
         if self.form == "dimmer":
@@ -106,6 +111,8 @@ class Slider:
 
     def weights(self, way: torch.Tensor) -> torch.Tensor:
         """Return the weight of each channel of each derivative image on a way, ``(images, 3)``."""
+        if not self.is_shown:
+            return way.new_zeros(0, CHANNELS)
         return way[None] if self.by_channel else way[:, None].expand(-1, CHANNELS)
 
     def rows(self, totals: torch.Tensor) -> torch.Tensor | None:

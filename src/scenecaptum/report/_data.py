@@ -54,6 +54,7 @@ from ..visualization import (
     range_notes,
     rating,
     rounded,
+    row_cautions,
     sampling_notes,
     scene_cautions,
     shown_render,
@@ -250,6 +251,7 @@ def _result(
     untrusted = untrusted_groups(attribution)
     untrusted_index = {name: index for index, names in enumerate(untrusted.values()) for name in names}
     of_range = range_notes(attribution)
+    in_doubt = row_cautions(attribution)
     row_index = {row.name: row.rank - 1 for row in ranking}
     used = used_by_objects(attribution, surfaces, row_index)
     object_rows = [sorted(row_index[name] for name in names) for names in used]
@@ -294,6 +296,7 @@ def _result(
                 **_row(attribution, row),
                 "caution": caution_index.get(row.name),
                 "doubt": untrusted_index.get(row.name),
+                "inDoubt": in_doubt.get(row.name),
                 "rangeNotes": [index for index, names in enumerate(of_range.values()) if row.name in names],
             }
             for row in ranking

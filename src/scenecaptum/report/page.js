@@ -429,13 +429,6 @@ function barsText() {
     + `<text x="12" y="42" fill="#555">${escape(result().axis)}</text>${lines.join("")}</svg>\n`;
 }
 
-/** What puts a row in doubt, as in the library's own files. */
-const cautionOf = (row, { cautions, doubts, rangeNotes }) => [
-  ...(row.caution === null ? [] : [`! ${cautions[row.caution]}`]),
-  ...(row.doubt === null ? [] : [`? ${doubts[row.doubt]}`]),
-  ...row.rangeNotes.map((note) => `~ ${rangeNotes[note]}`),
-].join("; ");
-
 function csvText() {
   const most = (count) => Math.max(0, ...results.flatMap((one) => one.rows.map(count)));
   const numbered = (name, count) => Array.from({ length: count }, (_, index) => `${name}_${index + 1}`);
@@ -445,7 +438,7 @@ function csvText() {
   const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "effect", "effect_error", ...numbered("total", channels), ...numbered("total_error", channels), "caution", "metric_unit"];
   const lines = results.flatMap((one) => one.rows.map((row, index) => [
     one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.effect ?? "", row.effectError ?? "",
-    ...padded(row.total, channels), ...padded(row.totalError, channels), cautionOf(row, one), one.unit]));
+    ...padded(row.total, channels), ...padded(row.totalError, channels), row.inDoubt ?? "", one.unit]));
   const cell = (one) => (/[",\r\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
   return `${[head, ...lines].map((line) => line.map(cell).join(",")).join("\r\n")}\r\n`;
 }
@@ -458,7 +451,7 @@ function jsonText() {
     ranking: one.rows.map((row, index) => ({
       rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, effect: row.effect, effect_error: row.effectError,
       total: row.total, total_error: row.totalError.length ? row.totalError : null,
-      caution: cautionOf(row, one) || null,
+      caution: row.inDoubt,
     })),
     info: one.info,
   }));

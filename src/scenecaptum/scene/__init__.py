@@ -33,6 +33,7 @@ from ._objects import camera_object as camera_object
 from ._objects import find_objects as find_objects
 from ._objects import has_point_lamps as has_point_lamps
 from ._objects import touching as touching
+from ._parameter_table import MOVING_KINDS as MOVING_KINDS
 from ._parameter_table import Parameter as Parameter
 from ._parameter_table import SceneParameters as SceneParameters
 from ._parameters import discover as discover

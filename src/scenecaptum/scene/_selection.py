@@ -102,10 +102,11 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
             "contains 'pose' or 'fov', because each takes renders of its own: write "
             f"{_naming_poses(parameters, item, poses)!r}."
         )
+    if item in KINDS:
+        there = ", ".join(kind for kind in KINDS if any(is_of_kind(parameters[name], kind) for name in known))
+        return f"inputs={item!r} selects nothing: the scene has no parameter of this kind. It has {there}."
     owner = item.partition(".")[0]
-    hint = ""
-    if item not in KINDS:
-        hint = parameters.hint(item) or near_names(item, known, KINDS)
+    hint = parameters.hint(item) or near_names(item, known, KINDS)
     if owner in ("sensor", "camera"):
         hint = _camera_hint(known)
     if re.match(r"object_\d", item):
@@ -129,8 +130,13 @@ def _naming_poses(parameters: SceneParameters, item: str, poses: list[str]) -> s
 def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> str:
     """Return ``' Did you mean …?'`` for the names and kinds closest to a name.
 
-    For a glob it suggests the globs with another owner that match something, and else the closest names.
+    For a glob it suggests the globs with another owner that match something, and else the closest names; for the
+    name of an object, a glob for all that it has.
     """
+    if (kind := f"{item.lower()}s") in kinds:
+        return f" Did you mean {kind!r}?"
+    if any(name.startswith(f"{item}.") for name in known):
+        return f" Did you mean '{item}.*'?"
     rest = item.partition(".")[2]
     globs = {f"{name.partition('.')[0]}.{rest}" for name in known} if "*" in rest else set[str]()
     matching = [glob for glob in sorted(globs) if any(_selects(glob, name) for name in known)]

@@ -116,7 +116,7 @@ def _bump_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, lis
     if not bumps:
         return {}
     reason = "the same height added to every texel bends no normal, so the effect is 0 whatever its texels do"
-    return {f"{_named(attribution, bumps)}: {reason}; the bump scale has an effect": bumps}
+    return {f"{_named(attribution, bumps)}: {reason}; the bump scale says what the bumps do": bumps}
 
 
 def _group_notes(attribution: Attribution) -> dict[str, list[str]]:

@@ -207,15 +207,17 @@ class Page {
   takeSlider(message, images) {
     const known = this.sliders.get(message.name);
     const byChannel = message.form === "color" || message.form === "channels";
-    const kept = known && !images.length ? { images: known.images, gradients: known.gradients } : { images }; // till then
-    this.sliders.set(message.name, { ...message, byChannel, ...kept });
-    if (!this.rows.has(message.name)) this.makeRow(this.sliders.get(message.name));
-    this.rows.get(message.name).toggleAttribute("data-waiting", !kept.images.length);
+    const isDerived = message.gradients.length > 0; // a move has no images
+    const kept = known && !isDerived ? { images: known.images, gradients: known.gradients } : { images }; // till then
+    const slider = { ...message, byChannel, ...kept };
+    this.sliders.set(message.name, slider);
+    if (!this.rows.has(message.name)) this.makeRow(slider);
+    this.rows.get(message.name).toggleAttribute("data-waiting", !slider.gradients.length);
     this.rows
       .get(message.name)
       .querySelectorAll("input, button")
       .forEach((one) => {
-        one.disabled = !kept.images.length;
+        one.disabled = !slider.gradients.length;
       });
     if (images.length) this.takeBase();
   }
@@ -398,7 +400,10 @@ class Page {
         label: this.rendered.rough ? "Rendered roughly" : "Rendered",
       };
     }
-    return { ...this.base, picture, label: isStart ? "Rendered" : "Predicted" };
+    const moves = [...this.sliders.values()].some(
+      (one) => !one.images.length && !same(this.place(one), this.place(one, this.base.design)),
+    );
+    return { ...this.base, picture, label: isStart ? "Rendered" : moves ? "Predicted, without moves" : "Predicted" };
   }
 
   drawPicture() {
@@ -800,7 +805,7 @@ class Page {
     this.parts.object.value = String(index);
     if (index === "") return this.parts.chosen.replaceChildren();
     const all = this.objects.parameters[index];
-    const names = this.isRecorded ? all.filter((name) => this.sliders.get(name)?.images.length) : all;
+    const names = this.isRecorded ? all.filter((name) => this.sliders.get(name)?.gradients.length) : all;
     const left = names.length < all.length ? PARTIAL : all.length ? "" : "Nothing of it can be changed.";
     const entry = (name) =>
       button(`${this.rows.has(name) ? "" : "+ "}${this.scene.parameters[name]}`, () => this.add(name));
