@@ -48,6 +48,7 @@ def functions(net: torch.nn.Module) -> dict[str, Callable[..., Any]]:
     def inner(x: torch.Tensor) -> torch.Tensor:
         return net(x)
 
+    listed = [net]
     return {
         "net": inner,
         "net ": lambda x: 2 * inner(x),
@@ -58,6 +59,9 @@ def functions(net: torch.nn.Module) -> dict[str, Callable[..., Any]]:
         "self.network": Scorer(net),
         "self.network ": Scorer(net).score,
         "self": net.forward,
+        "default": lambda image, default=net: default(image),
+        "keyword": lambda image, *, keyword=net: keyword(image),
+        "its element 0": lambda image: 2 * listed[0](image),
     }
 
 

@@ -100,6 +100,9 @@ def _references(value: Any) -> list[tuple[str, Any]]:
             *(("its argument", one) for one in value.args),
             *value.keywords.items(),
         ]
+    if isinstance(value, list | tuple | dict):
+        keyed = value.items() if isinstance(value, dict) else enumerate(value)
+        return [(f"its element {key!r}", one) for key, one in keyed if isinstance(one, torch.nn.Module)]
     if isinstance(value, types.MethodType):
         return [("its function", value.__func__), ("self", value.__self__), *_attributes(value.__self__)]
     if isinstance(value, types.FunctionType):
@@ -117,9 +120,12 @@ def _attributes(owner: Any) -> list[tuple[str, Any]]:
 
 
 def _closure(function: types.FunctionType) -> list[tuple[str, Any]]:
-    """Return the variables of the enclosing functions."""
-    found = []
-    for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
+    """Return the variables of the enclosing functions, and the defaults of the arguments."""
+    code = function.__code__
+    defaults, positional = function.__defaults__ or (), code.co_varnames[: code.co_argcount]
+    found = list(zip(positional[len(positional) - len(defaults) :], defaults, strict=True))
+    found += (function.__kwdefaults__ or {}).items()
+    for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
         with contextlib.suppress(ValueError):  # a variable without a value yet
             found.append((name, cell.cell_contents))
     return found
@@ -133,7 +139,8 @@ def _globals(function: types.FunctionType) -> list[tuple[str, Any]]:
         same_file = getattr(type(value), "__module__", None) == function.__module__ or (
             isinstance(value, types.FunctionType) and value.__globals__ is function.__globals__
         )
-        if same_file or isinstance(value, torch.nn.Module | functools.partial | types.MethodType):
+        of_networks = isinstance(value, torch.nn.Module | list | tuple | dict)
+        if same_file or of_networks or isinstance(value, functools.partial | types.MethodType):
             found.append((name, value))
     return found
 

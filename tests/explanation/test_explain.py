@@ -353,6 +353,35 @@ def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, 
         assert sum("check the scene's units" in note for note in said.notes()) == 1
 
 
+@pytest.mark.parametrize(("width", "is_small"), [(8, True), (64, False)])
+def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, is_small: bool):
+    """Its pixel is averaged with the dark around it: at 8 pixels it is no glare source, at 64 it is one."""
+    transform = mi.ScalarTransform4f()
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": 60.0}}
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 60,
+            "to_world": transform.look_at(origin=[0, 0, 4], target=[0, 0, 0], up=[0, 1, 0]),
+            "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
+        },
+        "wall": {"type": "rectangle", "to_world": transform.translate([0, 0, -1]).scale(9)},
+        "bulb": {"type": "sphere", "radius": 0.1, "center": [0.3, 0.2, 0], "emitter": lamp},
+    }
+    renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=64, max_depth=2)
+    metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
+    notes = photometric_premises(metric, image, metric(image).item(), 0.1, renderer=renderer)
+    assert sum("bulb covers less than half of any pixel: its light" in note for note in notes) == is_small
+    assert any("nothing counts as a glare source" in note for note in notes) == is_small
+
+
+def test_a_noisy_uniformity_is_cautioned():
+    metric, image = metrics.Uniformity(), torch.ones(4, 8, 3)
+    said = ["".join(photometric_premises(metric, image, 0.3, error)) for error in (0.02, 0.01)]
+    assert ["noise lowers the smallest illuminance" in text for text in said] == [True, False]
+
+
 def test_a_room_of_other_lamps_has_a_class():
     box = SceneRenderer("cornell-box", "reflectance", resolution=(8, 8), spp=8, max_depth=3)
     said = explain(box, metrics.UnifiedGlareRating(box.camera, threshold=1.0), changes=0, seed=shifted())

@@ -123,6 +123,8 @@ class _CommandParser(argparse.ArgumentParser):
         if unknown:
             hint = next((self.needless[one] for one in unknown if one in self.needless), "")
             hint = f" {hint}" if hint else near_misses(unknown[0], self._option_string_actions)
+            if not any(one.startswith("-") for one in unknown):
+                hint = " What is not an option comes right after the scene, before all options."
             self.error(f"unrecognized arguments: {' '.join(unknown)}.{hint}")
         return options, unknown
 

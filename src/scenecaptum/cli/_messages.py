@@ -59,11 +59,17 @@ def _designed(options: argparse.Namespace) -> list[str]:
 def warnings_in_options(options: argparse.Namespace) -> Iterator[None]:
     """Show the warnings of a block in the words of a command, on one line.
 
-    The place in the source code is left out: it means nothing to users of a command.
+    The place in the source code is left out: it means nothing to users of a command. Of two renderers of a scene
+    that warn alike, one is enough.
     """
+    shown = set[str]()
 
     def one_line(message: Warning | str, *_: object, **__: object) -> str:
-        return f"scenecaptum: warning: {in_options(str(message), options)}\n"
+        line = f"scenecaptum: warning: {in_options(str(message), options)}\n"
+        if line in shown:
+            return ""
+        shown.add(line)
+        return line
 
     original = warnings.formatwarning
     warnings.formatwarning = one_line

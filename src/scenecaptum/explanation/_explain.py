@@ -25,7 +25,13 @@ from ..estimation import (
     derived_seeds,
     input_values,
 )
-from ..metrics import DaylightGlareProbability, GlareRating, UnifiedGlareRating, VerticalIlluminance
+from ..metrics import (
+    DaylightGlareProbability,
+    GlareRating,
+    UnifiedGlareRating,
+    Uniformity,
+    VerticalIlluminance,
+)
 from ..optimize import Optimization, Search, SearchOptions, warn_if_more_is_better
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
@@ -36,13 +42,20 @@ from ._changes import propose, rendered, why_none
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
-from ._threshold import is_near_threshold, relative_sentence, single_sample_notes, threshold_notes
+from ._threshold import (
+    is_near_threshold,
+    relative_sentence,
+    single_sample_notes,
+    small_lamp_notes,
+    threshold_notes,
+)
 
 # Where the fit of Wienold and Christoffersen (2006) holds: DGP, and lux at the eye.
 DGP_VALUES, DGP_ILLUMINANCE = (0.2, 0.8), 380.0
 # Irradiance under a sky of radiance 1, relative to that in the open: 10 lx of an overcast 10 000 lx.
 DARK = 1e-3
 POINT_LAMPS = "the scene's point, spot and IES lamps have no area: they are not visible and not rated"
+NOISY_MINIMUM = 0.05  # the error of a uniformity, relative to it
 AT_THE_GOAL = "at the goal"
 STEPS_ALONE = 12  # of the leading parameter: with ten it reaches the limit of its change
 
@@ -240,6 +253,14 @@ def photometric_premises(
         if not isinstance(metric, AnnualSunlightExposure) and image.sum(1).max() < DARK * math.pi:
             premises.append("almost no light of the sky reaches the points: what covers the windows?")
         premises += filter(None, [metric.in_words(image)])
+    if isinstance(metric, Uniformity) and error and error > NOISY_MINIMUM * value:
+        premises.append(
+            advised(
+                "caution: noise lowers the smallest illuminance, so that the uniformity may be too low and its "
+                "error too small",
+                "use more samples",
+            )
+        )
     if isinstance(metric, UnifiedGlareRating):
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
@@ -254,6 +275,13 @@ def photometric_premises(
         )
     if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer) and renderer.has_point_lamps:
         premises.append(POINT_LAMPS)
+    if (
+        isinstance(metric, GlareRating)
+        and isinstance(renderer, SceneRenderer)
+        and renderer.surfaces is not None
+    ):
+        rated = image if shown is None else shown
+        premises += small_lamp_notes(metric, rated, renderer.surfaces, renderer.luminous_objects)
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

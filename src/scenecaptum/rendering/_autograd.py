@@ -91,8 +91,8 @@ class _Derivative(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *_: Any) -> Any:
         raise SceneCaptumError(
-            "A render can be differentiated once, not twice: path replay has no second derivatives. For "
-            "Hessian-vector products use differences of gradients with a common seed. For a directional "
+            "A render can be differentiated once, not twice: path replay has no second derivatives; "
+            "validation.hessian_vector_product and validation.interactions have. For a directional "
             "derivative use torch.func.jvp or renderer.derivative_image: torch.autograd.functional.jvp "
             "differentiates twice. Drop create_graph=True if only first derivatives are needed."
         )

@@ -656,6 +656,16 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             return has_point_lamps(self._graph.scene)
 
     @property
+    def luminous_objects(self) -> tuple[str, ...]:
+        """The objects that emit light, with their names in ``surfaces``; none where that is None."""
+        if (surfaces := self.surfaces) is None:
+            return ()
+        objects = zip(surfaces.objects[:-1], surfaces.parameters, strict=False)  # the last is the background
+        return tuple(
+            name for name, used in objects if any(self._table[one].kind == "emitters" for one in used)
+        )
+
+    @property
     def has_grid(self) -> bool:
         """Whether the pixels are the points of a sensor grid, ``grid``."""
         return is_grid(self._sensors[0])

@@ -12,7 +12,7 @@ import torch
 
 from ..attr import SceneAttribution
 from ..files import atomic_write
-from ..visualization import metric_unit, row_cautions
+from ..visualization import metric_name, metric_unit, row_cautions
 from ._data import plain
 
 # Of the numbers of a row, those of which each channel has a column in CSV.
@@ -81,7 +81,8 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
     The columns are named as in the JSON: ``total_1`` is the attribution summed over the texels of a texture, that
     is a gradient per unit, a contribution or an effect of ablation, depending on the method. ``value_1`` is the
     value in the scene, of a texture the mean, and ``range_1`` the length of the range over which the effect is.
-    ``caution`` says what puts a row in doubt, such as an unreliable standard error (``?``).
+    ``caution`` says what puts a row in doubt, such as an unreliable standard error (``?``). The columns of the
+    metric, its name, value, standard error, unit and what puts it in doubt, are the same in every row.
 
     ``attribution``, ``path`` and the errors are as for ``write_json``.
     """
@@ -89,6 +90,9 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
     counts = {column: max((len(row[column] or ()) for row in rows), default=0) for column in _LISTS}
     counts["total_error"] = counts["total"]  # empty where a result has no error bars
     of_metric = {
+        "metric": metric_name(attribution),
+        "metric_value": attribution.metric_value,
+        "metric_error": attribution.metric_standard_error,
         "metric_unit": metric_unit(attribution),
         "metric_caution": _metric_caution(attribution),
     }
