@@ -137,7 +137,7 @@ def cell_effects(result: CellResults, cells: Sequence[Cell], group: Group) -> li
 def _effects_of(
     cell: Cell, attribution: SceneAttribution, members: Mapping[str, tuple[str, ...]]
 ) -> Iterator[CellEffect]:
-    """Yield the sum of each group's effects; its error accounts for their covariance."""
+    """Yield the sum of each group's effects; its error is that of ``sum_groups``."""
     summed = sum_groups(attribution, members)
     errors, degrees = summed.effects_error(), degrees_of_freedom(attribution.info)
     quantity = Quantity(axis_label(summed), sign_labels(summed))

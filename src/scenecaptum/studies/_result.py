@@ -211,9 +211,9 @@ class StudyResult:
         >>> walls = {"walls": "*wall*.reflectance.*", "floor": ["*floor*", "*rug*"]}
         >>> print(result.summary(walls))  # doctest: +SKIP
 
-        The effect of a group in a cell is the sum over its members; its error accounts for their covariance. Rooms
-        are a sample of the rooms that the study stands for, the cameras of a room a sample of its views, and seeds
-        repeat the noise.
+        The effect of a group in a cell is the sum over its members; its error accounts for their covariance;
+        that of a sum of Shapley values is the sum of their errors, an upper limit. Rooms are a sample of the rooms
+        that the study stands for, the cameras of a room a sample of its views, and seeds repeat the noise.
 
         Parameters
         ----------
