@@ -92,15 +92,13 @@ def _no_match(parameters: SceneParameters, item: str, matched: list[Parameter]) 
         # Rather a pose than a setting of Mitsuba's, which is never differentiated.
         first = next((p for p in matched if p.moves), matched[0])
         hint = _camera_hint(known) if all(p.kind == CAMERA for p in matched) else ""
-        found = (
-            "one parameter, which cannot"
-            if len(matched) == 1
-            else f"{len(matched)} parameters, none of which can"
-        )
-        return (
-            f"inputs={item!r} matches {found} be differentiated; "
-            f"{first.name}, for example: {first.problem}.{hint}"
-        )
+        if len(matched) == 1:
+            which = f"only {first.name}, which cannot be differentiated"
+        else:
+            which = (
+                f"{len(matched)} parameters, none of which can be differentiated; {first.name}, for example"
+            )
+        return f"inputs={item!r} matches {which}: {first.problem}.{hint}"
     if poses := [name for name in known if fnmatchcase(name, item)]:
         return (
             f"inputs={item!r} matches only poses, such as {poses[0]!r}. A glob selects poses only where it "
