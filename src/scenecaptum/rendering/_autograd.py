@@ -92,7 +92,7 @@ class _Derivative(torch.autograd.Function):
     def backward(ctx: Any, *_: Any) -> Any:
         raise SceneCaptumError(
             "A render can be differentiated once, not twice: path replay has no second derivatives; "
-            "validation.hessian_vector_product and validation.interactions have. For a directional "
+            "validation.hessian_vector_product and validation.interactions compute them. For a directional "
             "derivative use torch.func.jvp or renderer.derivative_image: torch.autograd.functional.jvp "
             "differentiates twice. Drop create_graph=True if only first derivatives are needed."
         )
