@@ -13,6 +13,13 @@ from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics
 from scenecaptum.denoising import denoise
 
 
+def camera(mi: Any) -> dict[str, Any]:
+    """A camera that looks along the z axis from z = 2, with 16×16 pixels."""
+    look = mi.ScalarTransform4f().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0])
+    film = {"type": "hdrfilm", "width": 16, "height": 16}
+    return {"type": "perspective", "fov": 40, "to_world": look, "film": film}
+
+
 @pytest.fixture(scope="module")
 def mirrored(mi: Any) -> SceneRenderer:
     """One half of the image is a grey wall, the other a mirror that shows the red wall behind the camera."""
@@ -21,12 +28,7 @@ def mirrored(mi: Any) -> SceneRenderer:
     red = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.1, 0.1]}}
     scene = {
         "type": "scene",
-        "camera": {
-            "type": "perspective",
-            "fov": 40,
-            "to_world": transform().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 16, "height": 16},
-        },
+        "camera": camera(mi),
         "wall": {
             "type": "rectangle",
             "to_world": transform().translate([-5, 0, 0]).scale(5),
@@ -71,12 +73,7 @@ def test_a_veil_hides_its_share_of_the_wall_beside_mirrors_too(mi: Any) -> None:
     veil["bsdf"] = {"type": "mask", "opacity": 0.5, "nested": {"type": "twosided", "nested": grey(0.2)}}
     scene = {
         "type": "scene",
-        "camera": {
-            "type": "perspective",
-            "fov": 40,
-            "to_world": transform().look_at(origin=[0, 0, 2], target=[0, 0, 0], up=[0, 1, 0]),
-            "film": {"type": "hdrfilm", "width": 16, "height": 16},
-        },
+        "camera": camera(mi),
         "veil": veil,
         "wall": panel(-5, -1, 5, 0, grey(0.8)),
         "mirror": panel(1, 0, 1, 0, {"type": "conductor"}),
