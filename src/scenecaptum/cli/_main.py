@@ -121,9 +121,11 @@ class _CommandParser(argparse.ArgumentParser):
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
         options, unknown = super().parse_known_args(args, namespace)
         if unknown:
-            hint = next((self.needless[one] for one in unknown if one in self.needless), "")
-            hint = f" {hint}" if hint else near_misses(unknown[0], self._option_string_actions)
-            if not any(one.startswith("-") for one in unknown):
+            if needless := [self.needless[one] for one in unknown if one in self.needless]:
+                hint = f" {needless[0]}"
+            elif any(one.startswith("-") for one in unknown):
+                hint = near_misses(unknown[0], self._option_string_actions)
+            else:
                 hint = " What is not an option comes right after the scene, before all options."
             self.error(f"unrecognized arguments: {' '.join(unknown)}.{hint}")
         return options, unknown
