@@ -527,9 +527,10 @@ Known to be wrong, and marked with `!` in results: bump maps and normal maps whe
 the viewer, as on a floor seen from the side; and, not in the table, the texture that masks a perfectly specular
 material, whose sign may be wrong, too.
 
-An index of refraction, and the other numbers that path replay misses, have a mean slope over a small step: ±0.02
-of an index (±0.004 near 1), of a reflectance or an opacity, and 5% of other numbers. Where a ball of glass shows a
-lamp whose image moves quickly with the index, the slope at one point may be several times as large.
+The derivative with respect to an index of refraction, or another number that path replay misses, is the mean
+slope over a small step: ±0.02 for an index (±0.004 near 1), a reflectance or an opacity, and ±5% for others. Where
+a glass ball shows the image of a lamp, which moves quickly with the index, the slope at one point may be several
+times as large.
 
 *Unresolved* rows are too noisy for a verdict. *Unsupported* are parameters that only control the sampling, poses
 and positions (objects, lamps and cameras are [moved in another way](moving.md)), maps that rotate perfectly
