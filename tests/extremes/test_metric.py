@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hypothesis
+import numpy as np
 import pytest
 import torch
 from chance import allowed
@@ -250,6 +251,11 @@ def test_a_network_of_another_precision_is_named(renderer, layer):
         by(renderer, lambda image: layer(image).mean())
 
 
-def test_a_metric_in_numpy_is_refused(renderer):
+@pytest.mark.parametrize(
+    "metric",
+    [lambda image: torch.tensor(image.numpy()).mean(), np.mean, np.log],
+    ids=["numpy()", "mean", "logarithm"],
+)
+def test_a_metric_in_numpy_is_refused(renderer, metric):
     with pytest.raises(SceneCaptumError, match="leaves torch for NumPy, which has no derivatives"):
-        by(renderer, lambda image: torch.tensor(image.numpy()).mean())
+        by(renderer, metric)

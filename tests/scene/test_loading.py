@@ -61,6 +61,13 @@ def test_a_folder_is_refused_with_the_file_inside_it(mi: Any, painted: Path, tmp
     assert "no .xml" in message(lambda: load_scene(tmp_path / "empty"))
 
 
+def test_a_mesh_is_refused_with_its_place_in_a_scene(mi: Any, tmp_path: Path) -> None:
+    (tmp_path / "chair.ply").write_text("ply\n")
+    said = message(lambda: load_scene(tmp_path / "chair.ply"))
+    assert "is a mesh, not a scene" in said
+    assert '{"type": "ply", "filename": "chair.ply"}' in said
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral
@@ -245,34 +246,35 @@ class TargetedMetric:
         version = image._version
         try:
             output = self.metric(image)
-        except RuntimeError as error:
-            if (reason := self._mistake(str(error), image)) is None:
+        except (RuntimeError, TypeError) as error:
+            if (reason := self._mistake(error, image)) is None:
                 raise
             raise SceneCaptumError(reason) from error
         if image._version != version:
             raise SceneCaptumError(self._changes_the_image())
         return output
 
-    def _mistake(self, error: str, image: torch.Tensor) -> str | None:
-        """Return what is wrong with a metric in which torch raises such an error; None if that is unknown."""
-        if "leaf Variable" in error:
+    def _mistake(self, error: Exception, image: torch.Tensor) -> str | None:
+        """Return what is wrong with a metric that raises such an error; None if that is unknown."""
+        message = str(error)
+        if "leaf Variable" in message:
             return self._changes_the_image()
-        if "input" in error and "channels" in error:
+        if "input" in message and "channels" in message:
             return (
                 f"The metric {self.name} cannot take an image of shape {tuple(image.shape)} (height, width, "
                 "channels). A network expects (1, 3, H, W): use metrics.ClassLogit(network), or "
-                f"image.movedim(-1, 0)[None]. torch says: {error}"
+                f"image.movedim(-1, 0)[None]. torch says: {message}"
             )
-        if "Can't call numpy()" in error:
+        if "Can't call numpy()" in message or _is_raised_by("numpy", error):
             return (
                 f"The metric {self.name} leaves torch for NumPy, which has no derivatives: write it in torch "
                 "operations, without .numpy(), .item() or float(). For a method without gradients, such as an "
                 "ablation, image.detach().numpy() will do."
             )
-        if re.search(r"(same|mixed) dtype|type \(.*\) should be the same|scalar type \w+ but found", error):
+        if re.search(r"(same|mixed) dtype|type \(.*\) should be the same|scalar type \w+ but found", message):
             return (
                 f"The metric {self.name} mixes numbers of different precision; the image is {image.dtype}: "
-                f"convert it or what it meets, as by image.double() or network.float(). torch says: {error}"
+                f"convert it or what it meets, as by image.double() or network.float(). torch says: {message}"
             )
         return None
 
@@ -366,6 +368,12 @@ class TargetedMetric:
             f"The metric {self.name} modifies its input image in place. Write image = image * 2 instead of "
             "image *= 2 or image.mul_(2), or begin with image = image.clone()."
         )
+
+
+def _is_raised_by(package: str, error: Exception) -> bool:
+    """Return whether an error comes from a package's own code, as of ``numpy.mean`` called with a tensor."""
+    *_, (frame, _) = traceback.walk_tb(error.__traceback__)
+    return str(frame.f_globals.get("__name__")).split(".")[0] == package
 
 
 def _is_index(target: Any) -> bool:

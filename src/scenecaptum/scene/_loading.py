@@ -23,6 +23,8 @@ from .bundled import BUNDLED
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
 XmlParameters: TypeAlias = "Mapping[str, str | float]"
 
+_MESHES = frozenset({".obj", ".ply", ".serialized"})  # endings that are their plugins' names too
+
 # Of loaded integrators that are written in Python, which do not know by which plugin a scene names them.
 _INTEGRATOR_PLUGINS: WeakKeyDictionary[Any, str] = WeakKeyDictionary()
 
@@ -129,6 +131,11 @@ def _load_path_or_bundled(scene: str | os.PathLike[str], parameters: Mapping[str
     mi = activate()
     path = Path(scene)
     if is_file(path):
+        if path.suffix.lower() in _MESHES:
+            raise SceneCaptumError(
+                f"{path} is a mesh, not a scene: name it in a scene, with a camera and lights, for example "
+                f'{{"type": "{path.suffix[1:].lower()}", "filename": "{path.name}"}} in a scene dict.'
+            )
         check_xml(path, parameters)
         # Paths of textures and meshes are relative to the scene file.
         with _search_path(path.resolve().parent):
