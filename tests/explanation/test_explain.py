@@ -353,9 +353,14 @@ def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, 
         assert sum("check the scene's units" in note for note in said.notes()) == 1
 
 
-@pytest.mark.parametrize(("width", "is_small"), [(8, True), (64, False)])
-def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, is_small: bool):
-    """Its pixel is averaged with the dark around it: at 8 pixels it is no glare source, at 64 it is one."""
+@pytest.mark.parametrize(
+    ("width", "radius", "is_small"), [(8, 0.1, True), (8, 0.003, True), (64, 0.1, False)]
+)
+def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: float, is_small: bool):
+    """Its pixel is averaged with the dark around it: at 8 pixels it is no glare source, at 64 it is one.
+
+    No ray of a pixel's map meets the smallest.
+    """
     transform = mi.ScalarTransform4f()
     lamp = {"type": "area", "radiance": {"type": "rgb", "value": 60.0}}
     scene = {
@@ -367,7 +372,7 @@ def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, is_small:
             "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
         },
         "wall": {"type": "rectangle", "to_world": transform.translate([0, 0, -1]).scale(9)},
-        "bulb": {"type": "sphere", "radius": 0.1, "center": [0.3, 0.2, 0], "emitter": lamp},
+        "bulb": {"type": "sphere", "radius": radius, "center": [0.3, 0.2, 0], "emitter": lamp},
     }
     renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=64, max_depth=2)
     metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())

@@ -273,15 +273,9 @@ def photometric_premises(
                 "for all light that reaches the eye, use a fisheye camera",
             )
         )
-    if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer) and renderer.has_point_lamps:
-        premises.append(POINT_LAMPS)
-    if (
-        isinstance(metric, GlareRating)
-        and isinstance(renderer, SceneRenderer)
-        and renderer.surfaces is not None
-    ):
-        rated = image if shown is None else shown
-        premises += small_lamp_notes(metric, rated, renderer.surfaces, renderer.luminous_objects)
+    if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer):
+        premises += [POINT_LAMPS] if renderer.has_point_lamps else []
+        premises += small_lamp_notes(metric, image if shown is None else shown, renderer.small_lamps)
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

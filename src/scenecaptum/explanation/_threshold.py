@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import TypeGuard
 
 import torch
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
-from ..projection import SurfaceMap
 from ..visualization import Format, advised, first_few, rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
-FILLED = 0.5  # the fraction of a pixel from which a lamp dominates it
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 
 
@@ -59,22 +57,19 @@ def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
 
 
 def small_lamp_notes(
-    metric: GlareRating, image: torch.Tensor, surfaces: SurfaceMap, luminous: Sequence[str]
+    metric: GlareRating, image: torch.Tensor, lamps: Mapping[str, torch.Tensor]
 ) -> list[str]:
-    """Return a caution if lamps that would count as glare sources cover less than half of each of their pixels.
+    """Return a caution if lamps that would count as glare sources cover less than half of any pixel.
 
     The luminance of their pixels is averaged with what surrounds them, and glare grows faster than luminance.
+    ``lamps`` are the radiances of all that are as small.
     """
-    if not luminous or surfaces.shape != image.shape[:2]:
-        return []
-    covered = torch.from_numpy(surfaces.mask(luminous)).to(image)
-    of_lamps = metric.efficacy * luminance(image) / covered.clamp_min(1e-6)  # if all light comes from them
-    counts = of_lamps > metric.held_at(image).threshold
-    small = []
-    for name in luminous:
-        shown = torch.from_numpy(surfaces.mask(name)).to(image) > 0
-        if shown.any() and covered[shown].max() < FILLED and counts[shown].any():
-            small.append(name)
+    threshold = metric.held_at(image).threshold
+    small = [
+        name
+        for name, radiance in lamps.items()
+        if metric.efficacy * luminance(radiance[None, None]).item() > threshold
+    ]
     if not small:
         return []
     cover, their, them = ("covers", "its", "it") if len(small) == 1 else ("cover", "their", "them")

@@ -68,6 +68,8 @@ from ._sensors import (
 
 T = TypeVar("T")
 
+FILLED = 0.5  # the fraction of a pixel from which a lamp dominates it
+
 _NO_LAMPS = (
     "daylight coefficients are per unit radiance of the sky, which the weather sets, and leave lamps out"
 )
@@ -656,14 +658,22 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             return has_point_lamps(self._graph.scene)
 
     @property
-    def luminous_objects(self) -> tuple[str, ...]:
-        """The objects that emit light, with their names in ``surfaces``; none where that is None."""
-        if (surfaces := self.surfaces) is None:
-            return ()
-        objects = zip(surfaces.objects[:-1], surfaces.parameters, strict=False)  # the last is the background
-        return tuple(
-            name for name, used in objects if any(self._table[one].kind == "emitters" for one in used)
-        )
+    def small_lamps(self) -> dict[str, torch.Tensor]:
+        """The lamps that the camera sees, through panes too, but that cover less than half of any pixel.
+
+        Their largest radiance, ``(3,)``, by the names of their objects; none where ``surfaces`` is None.
+        """
+        from ._lamps import visible_radiances
+
+        if (surfaces := self.see_through(())) is None:
+            return {}
+        with exclusively(self._variant):
+            lamps = {
+                name: shape
+                for name, shape, _ in self._graph.shapes()
+                if shape.is_emitter() and surfaces.mask(name).max() < FILLED
+            }
+            return visible_radiances(self._graph.scene, self._sensors[0], self.camera, lamps)
 
     @property
     def has_grid(self) -> bool:
