@@ -40,6 +40,18 @@ def test_every_format_writes_its_own_file(tmp_path: Path, capsys: pytest.Capture
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(files)
 
 
+def test_files_have_the_cautions_on_the_value(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """At 16 pixels around the room, the lamp is smaller than a pixel."""
+    fisheye = [*TINY, *QUIET, "--sensor", "fisheye", "--metric", "ugr"]
+    files = ["--format", "csv", "--format", "json", "--out", str(tmp_path)]
+    assert cli.main(["attribute", *fisheye, *files]) == 0
+    assert "caution: light covers less than half" in " ".join(capsys.readouterr().out.split())
+    said = json.loads((tmp_path / FORMATS["json"].file).read_text())["metric"]["caution"]
+    assert said.startswith("light covers less than half of any pixel")
+    with (tmp_path / FORMATS["csv"].file).open(newline="") as file:
+        assert [row["metric_caution"] for row in csv.DictReader(file)] == [said]
+
+
 def test_only_what_is_selected_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

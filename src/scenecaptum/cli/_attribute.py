@@ -20,7 +20,7 @@ from ..metrics import GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
-from ..visualization import metric_name, table_text, terminal_width, wrap
+from ..visualization import cautions_among, metric_name, table_text, terminal_width, wrap
 from . import _arguments
 from ._design import add_design, designed_values
 from ._files import OutputFormat, print_files, writable, write_files
@@ -253,7 +253,8 @@ def _write_result(
 ) -> None:
     """Write the files of a result and print it."""
     said, metric = _explained(result, renderer), result.metric
-    attribution = result.attribution if said is None else _named_relaxed(said)
+    of_inputs = premises(metric, options)
+    attribution = result.attribution if said is None else _with_what_is_said(said, of_inputs)
     view = renderer.shows_a_view
     formats = selected_formats(
         options.formats or default_formats(view=view),
@@ -271,7 +272,7 @@ def _write_result(
     width = terminal_width() or WIDTH
     notes = [] if said is None else said.value_notes()
     notes += [EXPLAIN] if RELAXED in notes else []
-    print("".join(f"\n{wrap(line, width)}" for line in [*notes, *premises(metric, options)]))
+    print("".join(f"\n{wrap(line, width)}" for line in [*notes, *of_inputs]))
     print_files(folder, formats)
 
 
@@ -303,15 +304,18 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     return Explanation(attribution, premises=(*notes, *more), count=0, definition=definition)
 
 
-def _named_relaxed(said: Explanation) -> SceneAttribution:
-    """Return a result that is called relaxed, with what the value by the definition means, if it has one."""
+def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttribution:
+    """Return a result with the cautions on its value, those among ``more`` notes too.
+
+    If it has a value by the definition, it is called relaxed, with what that other value means.
+    """
     attribution = said.attribution
     assert isinstance(attribution, SceneAttribution), "it is what _explained was given"
-    if said.definition is None:
-        return attribution
-    # The relaxed value is in no class.
-    measure = {**attribution.info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
-    info = {**attribution.info, "measure": measure, "verdict": said.rating()}
+    info = {**attribution.info, "metric_cautions": cautions_among([*said.premises, *more])}
+    if said.definition is not None:
+        # The relaxed value is in no class.
+        measure = {**info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
+        info |= {"measure": measure, "verdict": said.rating()}
     return dataclasses.replace(attribution, info=info)
 
 

@@ -110,5 +110,5 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
 
 
 def _metric_caution(attribution: SceneAttribution) -> str | None:
-    caution: str | None = (attribution.info.get("picture") or {}).get("caution")
-    return caution
+    of_picture = (attribution.info.get("picture") or {}).get("caution")
+    return "; ".join(filter(None, [of_picture, *attribution.info.get("metric_cautions", ())])) or None

@@ -22,7 +22,7 @@ from ..explanation import (
 )
 from ..metrics import GlareRating
 from ..rendering import SceneRenderer
-from ..visualization import advised, convergence_notes, findings, pluralize
+from ..visualization import CAUTION, advised, cautions_among, convergence_notes, findings, pluralize
 from ._cell_effects import CellResults
 from ._recipe import Cell
 
@@ -31,7 +31,6 @@ RELAXED = f"this rating is relaxed near the threshold, and has no class; {NOT_CO
 RELAXED_DAYLIGHT = f"this value is relaxed, and has no class; {NOT_COMPUTED}"
 IN_TABLE = f"the table of cells has the rating with a threshold of {FACTOR:g} times the mean luminance, too"
 MOST_NOTES = 8  # of a study: some have a number of their own in each cell
-CAUTION = "caution: "
 DOES_NOT_ADD_UP = "does not add up"
 INCONCLUSIVE = "inconclusive"
 UNDECIDED = f"{INCONCLUSIVE} whether the effects add up"
@@ -78,7 +77,7 @@ def _told_apart(notes: Sequence[str]) -> dict[str, Any]:
     plain = findings(notes)
     return {
         "notes": plain,
-        "cautions": [note.removeprefix(CAUTION) for note in plain if note.startswith(CAUTION)],
+        "cautions": cautions_among(notes),
         "advised": {one: str(note) for one, note in zip(plain, notes, strict=True) if one != note},
     }
 

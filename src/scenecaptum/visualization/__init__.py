@@ -102,9 +102,11 @@ from ._specificity import plot_specificity as plot_specificity
 from ._table import STYLE as STYLE
 from ._table import table_html as table_html
 from ._table import table_text as table_text
+from ._text import CAUTION as CAUTION
 from ._text import TEXEL_MEANING as TEXEL_MEANING
 from ._text import advised as advised
 from ._text import axis_label as axis_label
+from ._text import cautions_among as cautions_among
 from ._text import class_doubt as class_doubt
 from ._text import findings as findings
 from ._text import is_of_camera as is_of_camera

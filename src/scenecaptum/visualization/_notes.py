@@ -9,7 +9,7 @@ from typing import Any
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ._layout import first_few, group_by_text
 from ._numbers import format_with_error, rounded, rounded_up, with_error
-from ._text import LARGE_ERROR, OF_DIFFERENCES, advised, hidden_of, pluralize
+from ._text import CAUTION, LARGE_ERROR, OF_DIFFERENCES, advised, hidden_of, pluralize
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
@@ -54,7 +54,7 @@ def noise_notes(attribution: Attribution) -> list[str]:
     """Return a caution if the metric image is too noisy for the metric."""
     picture = attribution.info.get("picture") or {}
     caution = picture.get("caution")
-    return [advised(f"caution: {caution}", picture.get("advice"), ": ")] if caution else []
+    return [advised(f"{CAUTION}{caution}", picture.get("advice"), ": ")] if caution else []
 
 
 def group_notes(attribution: Attribution, names: Iterable[str]) -> list[str]:

@@ -8,6 +8,7 @@ from typing import Any, Self
 from ..protocols import Attribution, ResultKind, Scale
 from ._numbers import format_with_error, rounded, shorten
 
+CAUTION = "caution: "  # the start of a note that puts a value in doubt
 TEXEL_MEANING = "each texel: effect of a whole texture that acts like it"  # in a map with single texels
 OF_DIFFERENCES = {ResultKind.ABLATION, ResultKind.OCCLUSION, ResultKind.SHAPLEY_VALUE}
 _CLEAR = 2.0  # standard errors between a value and the limit of another class
@@ -47,6 +48,11 @@ def prefixed(prefix: str, note: str) -> str:
 def findings(notes: Iterable[str]) -> list[str]:
     """Return notes without their advice."""
     return [note.finding if isinstance(note, Advised) else note for note in notes]
+
+
+def cautions_among(notes: Iterable[str]) -> list[str]:
+    """Return those notes that put a value in doubt, without their first word and their advice."""
+    return [note.removeprefix(CAUTION) for note in findings(notes) if note.startswith(CAUTION)]
 
 
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
