@@ -290,6 +290,19 @@ def test_values_that_move_in_opposite_directions_have_a_caution(
     assert unclear.opposite() == ""
 
 
+@pytest.mark.parametrize(("exact", "is_far"), [(-3.3, True), (0.0, True), (-8.1, False)])
+def test_a_relaxed_change_far_from_the_exact_one_is_no_guide(exact: float, is_far: bool) -> None:
+    """The brightest pixel is in the transition of the threshold, and fades with all of the rating."""
+    rated = results.make()
+    rated = dataclasses.replace(rated, info={**rated.info, "metric": "UnifiedGlareRating"})
+    sides = [_compared.Side()] * 2
+    found = _compared.Compared(rated, rated, ["A", "B"], -9.5, 0.4, sides, by_definition=(exact, 0.1))
+    assert ("depend on it more than on the scene" in found.relaxed()) == is_far
+    assert found.relaxed().endswith(": compare with --threshold-factor 5" if is_far else "by −9.5 ± 0.4.")
+    of_daylight = dataclasses.replace(found, before=results.make())
+    assert "threshold" not in of_daylight.relaxed()
+
+
 def test_a_comparison_of_daylight_prints_classes_and_cautions(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -681,6 +681,15 @@ def test_a_saturated_share_with_no_clear_effect_says_so():
     assert clear == ["lamp: +0.0090 ± 0.0010 percentage points"]
 
 
+@pytest.mark.parametrize(("exact", "is_far"), [(16.3, True), (11.6, False)])
+def test_a_relaxed_change_far_from_the_exact_one_is_no_guide(exact: float, is_far: bool):
+    dimmed = dataclasses.replace(change(-9.5, 0.4, predicted=-2.5), exact=exact, exact_error=0.3)
+    parts = {"definition": Definition(19.6, "within 22", error=0.2), "changes": (dimmed,)}
+    legend, *_ = lines(Explanation(rated(19.8, 0.1), **parts))["What would change it"]
+    assert ("neither says much" in legend) == is_far
+    assert ("compare changes by it" in legend) != is_far
+
+
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     raised = dataclasses.replace(change(2.0, 0.1, predicted=2.1), exact=47.0 + 100 / 63)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(raised,)))

@@ -27,7 +27,7 @@ from ..visualization import (
     wrap,
 )
 from ._effect_sentences import EffectSentences
-from ._findings import Change, Definition, Row, Source, is_clear
+from ._findings import Change, Definition, Row, Source, are_far_apart, is_clear
 from ._wording import change_in_words, percent, rating_in_words, row_name, signed, step
 
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
@@ -36,6 +36,7 @@ FEW_POINTS = 20  # of a grid: one point is more than 5 % of them
 BIASED = "derivative known to be biased"
 MOST_NAMED = 3  # of the sources that may be large
 DEFAULT_EFFECTS = 5
+OTHER_THRESHOLD = "a threshold of 5 times the mean luminance (threshold_factor=5, --threshold-factor 5)"
 GLARE_SOURCES = "Where the glare comes from"
 PICTURE_SOURCES = "What it sees in the picture: shares of the sum of |gradient × value| over the pixels"
 FOUR_DIGITS = 5e-4  # of a value
@@ -259,11 +260,27 @@ class Explanation:
         """Say which of the values of a change is by the definition, and why the relaxed ones stand beside it."""
         if self.definition is None:
             return []
-        jumps = "by whole points" if self.definition.step else "at the threshold"
+        exact = f"{metric_symbol(self.attribution)} by the definition, before → after, jumps"
+        relaxed = "the relaxed change, in parentheses,"
+        if self.definition.step:
+            return [f"{exact} by whole points; {relaxed} does not: compare changes by it"]
+        if not any(self._is_far_from_relaxed(change) for change in self.changes if change.is_clear):
+            return [f"{exact} at the threshold; {relaxed} does not: compare changes by it"]
+        # Both fade with the brightest pixel, the relaxed rating as a whole.
         return [
-            f"{metric_symbol(self.attribution)} by the definition, before → after, jumps {jumps}; the relaxed "
-            "change, in parentheses, does not: compare changes by it"
+            advised(
+                f"{exact} where the main source passes the threshold, and {relaxed} falls steeply near it: where "
+                "both are far apart, neither says much",
+                f"compare with {OTHER_THRESHOLD}",
+            )
         ]
+
+    def _is_far_from_relaxed(self, change: Change) -> bool:
+        assert self.definition is not None
+        if change.exact is None or change.measured is None:
+            return False
+        exact = change.exact - self.definition.value
+        return are_far_apart(exact, change.measured, change.exact_error, change.measured_error)
 
     def _row_legend(self) -> str:
         """Say what stands behind each row of points, and how the rows are counted on the plan."""

@@ -175,3 +175,9 @@ class Definition:
 def is_clear(effect: float, error: float | None) -> bool:
     """Whether an effect is clear of the noise."""
     return abs(effect) > SIGNIFICANT * (error or 0.0)
+
+
+def are_far_apart(first: float, second: float, *errors: float | None) -> bool:
+    """Whether two changes of a metric differ by more than the smaller one, and clearly more than their errors."""
+    difference, error = abs(first - second), math.hypot(*(error or 0.0 for error in errors))
+    return difference > min(abs(first), abs(second)) and is_clear(difference, error)

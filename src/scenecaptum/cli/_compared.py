@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from .. import metrics
-from ..attr import Definition, Explanation, SceneAttribution
+from ..attr import Definition, Explanation, SceneAttribution, are_far_apart
 from ..report import Table, different_values
 from ..scene import pose_component, with_unit
 from ..visualization import (
+    advised,
     format_with_error,
     grid,
     metric_name,
@@ -46,6 +47,9 @@ SAVED = (
 )
 COMPARE_SCENES = "Compare the scenes, not saved results, to get the change by the definition."
 RELAXED = "The effects are those of the relaxed metric, which only serves the derivatives"
+FAR_APART = (
+    "The main source is so close to the threshold that both changes depend on it more than on the scene"
+)
 OPPOSITE = "caution: the direction of this change depends on the threshold"
 
 
@@ -132,7 +136,11 @@ class Compared:
             return SAVED if self.are_relaxed_ratings() else ""
         unit = unit_of_change(metric_unit(self.before))
         change = f"{signed_with_error(self.change, self.error)} {unit}".rstrip()
-        return f"{RELAXED}: it changes by {change}."
+        exact, exact_error = self.by_definition
+        stated = f"{RELAXED}: it changes by {change}."
+        if not (_is_glare_rating(self.before) and are_far_apart(self.change, exact, self.error, exact_error)):
+            return stated
+        return advised(f"{stated} {FAR_APART}", "compare with --threshold-factor 5", ": ")
 
     def are_relaxed_ratings(self) -> bool:
         """Whether the two values are relaxed ratings of glare, as one that was saved is."""
