@@ -52,6 +52,14 @@ def test_files_have_the_cautions_on_the_value(tmp_path: Path, capsys: pytest.Cap
         assert [row["metric_caution"] for row in csv.DictReader(file)] == [said]
 
 
+def test_a_noisy_uniformity_has_its_caution(tmp_path: Path) -> None:
+    points = ["office", "--sensor", "grid", "--spacing", "1", "--spp", "4", "--inputs", "emitters", *QUIET]
+    files = ["--format", "json", "--out", str(tmp_path)]
+    assert cli.main(["attribute", *points, "--metric", "uniformity", *files]) == 0
+    said = json.loads((tmp_path / FORMATS["json"].file).read_text())["metric"]["caution"]
+    assert "noise lowers the smallest illuminance" in said
+
+
 def test_only_what_is_selected_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -312,8 +312,8 @@ def test_heatmap_names_salient_invisible_parameters() -> None:
     # Several are listed, and those below the first three are counted, unless their effects are negligible.
     every = dataclasses.replace(make(), surfaces=surfaces("rough", "elsewhere"))
     text = " ".join(all_text(plot_heatmap(every)).split())
-    assert "#1 with an effect of 0.500 ± 0.004; two_minds, #2" in text
-    assert "; floor, #3 with an effect of 0.2154 ± 0.0020; and 1 more" in text
+    assert "#1 with an effect of +0.700 ± 0.007; two_minds, #2" in text
+    assert "; floor, #3 with an effect of −0.3600 ± 0.0035; and 1 more" in text
     # A group is visible where one of its members is.
     grouped = make(groups={"lamp": ["bulb", "rough"], "two_minds": ["elsewhere"]})
     assert "not in the picture: two_minds, #2" in all_text(plot_heatmap(grouped))
@@ -322,7 +322,7 @@ def test_heatmap_names_salient_invisible_parameters() -> None:
 def test_maps_name_what_is_seen_only_behind_glass_and_leave_out() -> None:
     """Also a noisy effect: a window that is neutral on the map may still have the largest."""
     behind = make(seen_through=["lamp", "tiny", "floor"])
-    left_out = "not on the map, seen only behind glass or mirrored: lamp, #1 with an effect of 0.500 ± 0.004"
+    left_out = "not on the map, seen only behind glass or mirrored: lamp, #1 with an effect of +0.700 ± 0.007"
     for text in (all_text(plot(behind)).replace("\n", " ") for plot in (plot_heatmap, plot_overlay)):
         assert left_out in text
         assert "floor, #3" not in text  # also seen directly

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple, get_args
 import torch
 
 from ..attr import GROUPS, METHODS, AttributionInterrupted, Definition, Explanation, SceneAttribution
-from ..daylight import DaylightMetric
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
 from ..explanation import definition_of, photometric_premises, rated_image, states_definition
@@ -290,7 +289,7 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     """
     attribution, metric, definition = result
     image = attribution.image
-    if image is None or (attribution.surfaces is None and not isinstance(metric, DaylightMetric)):
+    if image is None or (attribution.surfaces is None and not renderer.has_grid):  # of several cameras
         return None
     shown = rated_image(attribution, renderer)
     value, error = attribution.metric_value, attribution.metric_standard_error

@@ -46,7 +46,7 @@ from ._notes import (
     note_of_none,
     untrusted_groups,
 )
-from ._numbers import format_with_error, rounded, shorten
+from ._numbers import format_with_error, rounded, shorten, signed_with_error
 from ._text import (
     TEXEL_MEANING,
     axis_label,
@@ -412,7 +412,7 @@ def _invisible_note(attribution: Attribution, scale: Scale | None) -> str:
         for row in _without(attribution, visible, scale)
         if row.saliency > allowed * (row.saliency_error or 0.0)
     ]
-    return _leading("not in the picture", unseen)
+    return _leading(attribution, "not in the picture", unseen)
 
 
 def _seen_through_note(attribution: Attribution, options: dict[str, Any]) -> str:
@@ -431,7 +431,7 @@ def _seen_through_note(attribution: Attribution, options: dict[str, Any]) -> str
         if behind.intersection(groups.get(row.name, [row.name]))
         and (not selected or any(row.name == one or fnmatchcase(row.name, one) for one in selected))
     ]
-    return _leading("not on the map, seen only behind glass or mirrored", hidden)
+    return _leading(attribution, "not on the map, seen only behind glass or mirrored", hidden)
 
 
 def _without(
@@ -448,14 +448,15 @@ def _without(
     ]
 
 
-def _leading(what: str, rows: Sequence[RankedParameter]) -> str:
+def _leading(attribution: Attribution, what: str, rows: Sequence[RankedParameter]) -> str:
     """Return a note that names those of the rows in the top three and counts the others; empty without any."""
     named = [row for row in rows if row.rank <= _MOST_UNSEEN]
     if not named:
         return ""
     names = shorten([row.label for row in named], 60)
+    written = signed_with_error if attribution.kind.has_sign else format_with_error
     parts = [
-        f"{name}, #{row.rank} with an effect of {format_with_error(row.saliency, row.saliency_error)}"
+        f"{name}, #{row.rank} with an effect of {written(row.effect, row.effect_error)}"
         for name, row in zip(names, named, strict=True)
     ]
     more = len(rows) - len(named)
