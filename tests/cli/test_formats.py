@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import itertools
 import json
 from pathlib import Path
 from typing import Any
@@ -160,6 +161,14 @@ def test_numbers_have_values_ranges_and_what_puts_a_row_in_doubt(tmp_path: Path)
     frame = attribution.to_dataframe()
     assert set(frame.loc[frame["name"] == "floor", "caution"]) == {"! it is biased"}
     assert (frame["caution"] != "").sum() == 1
+    assert {*itertools.chain(*frame["value"])} == {0.5}
+    assert {*itertools.chain(*frame["range"])} == {2.0}
+    assert frame.attrs == {
+        "metric": rows["floor"]["metric"],
+        "metric_value": numbers["metric"]["value"],
+        "metric_error": numbers["metric"]["standard_error"],
+        "metric_unit": "cd/m²",
+    }
 
 
 def test_demo_has_the_options_of_attribute() -> None:

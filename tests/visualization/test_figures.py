@@ -6,6 +6,7 @@ import dataclasses
 import importlib.util
 import itertools
 import math
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -834,6 +835,19 @@ def test_a_map_whose_scale_is_the_effect_of_a_camera_says_so() -> None:
 def test_a_figure_in_which_its_texts_do_not_fit_is_refused(plot) -> None:
     with pytest.raises(SceneCaptumError, match=r"3\.4 inches is too narrow .* at least 4\.5"):
         plot(make(), figsize=(3.4, 3.0))
+
+
+@pytest.mark.parametrize("top", [1, None])
+def test_bars_that_the_texts_would_cover_are_refused(top: int | None) -> None:
+    with pytest.raises(SceneCaptumError, match="is too low for its texts") as refused:
+        plot_bars(make(), top, figsize=(6.0, 0.5))
+    least = float(str(refused.value).split("at least ")[1].split()[0])
+    figure = plot_bars(make(), top, figsize=(6.0, least))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # of a layout that gives up
+        figure.draw_without_rendering()
+    (height,) = {ax.get_position().height * least for ax in figure.axes}
+    assert height > 0.1
 
 
 @pytest.mark.parametrize("high", [0.12, 0.3, 0.6, 2.0, 30.0, 5e3, 1e6])

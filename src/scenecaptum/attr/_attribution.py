@@ -187,9 +187,10 @@ class SceneAttribution(AttributionData):
     def to_dataframe(self, *, scale: Scale | None = None) -> pandas.DataFrame:
         """Return the ranking as a pandas DataFrame with the columns of `Ranked`, indexed by rank.
 
-        A further column, ``caution``, says what a table marks a row for: an inaccurate derivative (``!``), an
-        unreliable standard error (``?``), or a range over which an effect may not hold (``~``). It is empty for
-        others.
+        Further columns are ``value`` and ``range``, the parameter's value in the scene and the length of its range
+        for each channel (of a texture the mean), and ``caution``, which says what a table marks a row for: an
+        inaccurate derivative (``!``), an unreliable standard error (``?``), or a range over which an effect may
+        not hold (``~``). It is empty for others. ``attrs`` has the metric: name, value, standard error and unit.
 
         Parameters
         ----------
@@ -207,11 +208,26 @@ class SceneAttribution(AttributionData):
             raise SceneCaptumError(
                 "to_dataframe() needs pandas: pip install 'scenecaptum[frames]'"
             ) from error
-        from ..visualization import row_cautions
+        from ..visualization import metric_name, metric_unit, row_cautions
 
         frame = pandas.DataFrame(self.ranking(scale=scale), columns=Ranked._fields)
         cautions = row_cautions(self, scale)
-        return frame.assign(caution=[cautions.get(name, "") for name in frame["name"]]).set_index("rank")
+
+        def numbers(tensors: Tensors, name: str) -> tuple[float, ...]:
+            return tuple(tensors[name].reshape(-1).tolist()) if name in tensors else ()
+
+        frame = frame.assign(
+            value=[numbers(self.parameter_values, name) for name in frame["name"]],
+            range=[numbers(self.extents, name) for name in frame["name"]],
+            caution=[cautions.get(name, "") for name in frame["name"]],
+        )
+        frame.attrs = {
+            "metric": metric_name(self),
+            "metric_value": self.metric_value,
+            "metric_error": self.metric_standard_error,
+            "metric_unit": metric_unit(self),
+        }
+        return frame.set_index("rank")
 
     def save(self, path: str | os.PathLike[str] | BinaryIO, *, exact_texels: bool = False) -> None:
         """Write everything to one file (NumPy ``.npz``, no pickle), to be read by ``load``.

@@ -30,7 +30,7 @@ _DEFAULT_PATCHES = 64  # 8 × 8 on a texture, 4 × 4 × 4 in a grid
 
 
 class OcclusionScene(Perturbation):
-    """The effect of replacing each patch of a texture or environment map by its mean.
+    """The effect of replacing each patch of a texture or environment map by the mean of the whole texture or map.
 
     Example
     -------

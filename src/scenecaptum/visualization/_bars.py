@@ -19,6 +19,7 @@ from ._figures import (
     WIDTH,
     add_footnotes,
     characters_per_line,
+    check_height,
     check_width,
     color_of,
     figure_of,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
 _HATCH = "////"
 _NAME_WIDTH = 36
 _MAX_NAMES = 6
+_BAR, _LEAST_BAR = 0.21, 0.13  # inches of each bar: by default, and at least
 
 
 def plot_bars(
@@ -88,7 +90,7 @@ def plot_bars(
     Raises
     ------
     SceneCaptumError
-        If the figure would be narrower than 4.5 inches.
+        If the figure would be narrower than 4.5 inches, or too low for its texts and bars.
     """
     if figsize is not None:
         check_width(figsize)
@@ -103,13 +105,15 @@ def plot_bars(
     footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
     if ax is None:
         points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
-        height = 0.7 + 1.4 * points / 72 + 0.21 * max(len(rows), 2)
+        height = 0.7 + 1.4 * points / 72 + _BAR * max(len(rows), 2)
         ax = new_figure(*(figsize or (WIDTH, height))).add_subplot()
 
     style_axes(ax, x="\n".join(axis))
     draw_bars(ax, attribution, rows, scale=scale, name_width=_NAME_WIDTH)
     write_header(ax, title, handles=legend, size=TEXT)
     add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
+    if figsize is not None:
+        check_height(ax, _LEAST_BAR * len(rows))
     return figure_of(ax)
 
 

@@ -30,6 +30,7 @@ RAISES, LOWERS, UNCLEAR = "#0072B2", "#D55E00", "#8C8C8C"
 SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 
 WIDTH = 7.2  # text width of a page in inches
+_ENOUGH = 20.0  # inches, for all texts of a figure
 LEAST_WIDTH = 4.5  # in which the texts of a figure fit
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
 DEFAULT_TOP = 15  # parameters in a figure
@@ -70,6 +71,21 @@ def check_width(figsize: tuple[float, float]) -> None:
         raise SceneCaptumError(
             f"A figure of {figsize[0]:g} inches is too narrow for its texts: use at least {LEAST_WIDTH:g}, save "
             "it as PDF or SVG, and let the page scale it."
+        )
+
+
+def check_height(ax: Axes, least: float) -> None:
+    """Raise if the texts of a figure leave less than ``least`` inches of its height to its axes."""
+    figure = figure_of(ax)
+    width, height = figure.get_size_inches()
+    figure.set_size_inches(width, height + _ENOUGH)  # where texts need all of the height, the layout gives up
+    figure.draw_without_rendering()
+    needed = (1 - ax.get_position().height) * (height + _ENOUGH) + least
+    figure.set_size_inches(width, height)
+    if height < needed:
+        raise SceneCaptumError(
+            f"A figure of {width:g} × {height:g} inches is too low for its texts and what it shows: use at least "
+            f"{math.ceil(10 * needed) / 10:g} of height, or a greater width, in which texts take fewer lines."
         )
 
 
