@@ -62,22 +62,22 @@ def test_rows_with_enough_light_do_not_matter_and_rows_are_named_by_their_axis()
     assert [row.effect for row in rows] == pytest.approx([0.0, 20 / 9, 10 / 9], rel=0.03)
 
 
-def test_the_value_of_a_row_is_that_by_the_definition_and_columns_are_counted_from_the_right() -> None:
+def test_the_value_of_a_row_is_that_by_the_definition_and_columns_are_counted_from_the_left() -> None:
     across = GridPoints(*(part.transpose(0, 1) for part in list(vars(grid()).values())[:4]))
     across = GridPoints(
         across.positions[..., [1, 0, 2]], across.normals, across.inside, across.plan[..., [1, 0]]
     )
     metric = TargetedMetric(SpatialDaylightAutonomy(SKY, during="all"), None)
-    # 290, 310 and 600 lx: the first two are within the relaxation of 300 lx.
+    # From the right 290, 310 and 600 lx: the first two are within the relaxation of 300 lx.
     columns = images(2.9, 3.1, 6.0).unflatten(1, (3, 2)).transpose(1, 2).flatten(1, 2)
     rows = find_rows(metric, columns, across)
     assert [(row.name, row.side, row.towards) for row in rows] == [
-        ("x = 4 m", "right", "x"),
-        ("x = 2.5 m", "right", "x"),
-        ("x = 1 m", "right", "x"),
+        ("x = 1 m", "left", "x"),
+        ("x = 2.5 m", "left", "x"),
+        ("x = 4 m", "left", "x"),
     ]
-    assert [row.value for row in rows] == [0.0, 100.0, 100.0]
-    assert rows[0].effect > 0
+    assert [row.value for row in rows] == [100.0, 100.0, 0.0]
+    assert rows[2].effect > 0
 
 
 def test_points_that_form_no_rows_have_none() -> None:

@@ -727,8 +727,8 @@ def test_the_fewest_rows_with_most_of_the_effect_decide():
     assert others[1] == "row 2 (y = 4 m), 7 points: 14.3 %; +3.00 ± 0.30 percentage points for all points"
     assert len(others) == 4
     three = tuple(dataclasses.replace(row, effect=1.0, effect_error=0.1) for row in rows[:3])
-    assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0].startswith(
-        "row 1 (y = 5 m), row 2 (y = 4 m) and row 3 (y = 3 m) decide: 100 %"
+    assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0] == (
+        "no few of them: 3 of 3 have 100 % of the effect of 10 % more light"
     )
     below = (dataclasses.replace(rows[1], name="z = 4 m", towards="−z"),)
     _, legend, _ = lines(of_daylight(57.0, 0.5, rows=below))["Which points decide"]
@@ -739,11 +739,11 @@ def test_the_fewest_rows_with_most_of_the_effect_decide():
 
 
 def test_rows_beside_each_other_are_columns_of_the_plan():
-    column = Row(1, "x = 5 m", "right", 7, None, 1.0, 0.1, towards="x")
+    column = Row(1, "x = 5 m", "left", 7, None, 1.0, 0.1, towards="x")
     first, legend, other = lines(of_daylight(57.0, 0.5, rows=(column,)))["Which points decide"]
     assert first.startswith("column 1 (x = 5 m) decides")
     assert legend == (
-        "below, how 10 % more light there changes sDA of all points; columns are counted from the right of the "
+        "below, how 10 % more light there changes sDA of all points; columns are counted from the left of the "
         "plan, where x points to the right"
     )
     assert other == "column 1 (x = 5 m), 7 points: +1.00 ± 0.10 percentage points for all points"

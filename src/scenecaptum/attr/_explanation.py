@@ -247,11 +247,17 @@ class Explanation:
         for row in sorted(clear, key=lambda row: -abs(row.effect)):
             if sum(abs(one.effect) for one in deciding) < MOST * total:
                 deciding.append(row)
-        share = sum(abs(one.effect) for one in deciding) / total
+        share = (
+            f"{100 * sum(abs(one.effect) for one in deciding) / total:.0f} % of the effect of 10 % more light"
+        )
         *names, last = [row_name(row) for row in self.rows if row in deciding]
+        if 2 * len(deciding) > len(self.rows) > 1:
+            finding = f"no few of them: {len(deciding)} of {len(self.rows)} have {share}"
+        else:
+            named = " and ".join(filter(None, [", ".join(names), last]))
+            finding = f"{named} {'decide' if names else 'decides'}: {share}"
         return [
-            f"{' and '.join(filter(None, [', '.join(names), last]))} {'decide' if names else 'decides'}: "
-            f"{100 * share:.0f} % of the effect of 10 % more light",
+            finding,
             self._row_legend(),
             *(self._row_line(row) for row in self.rows),
         ]

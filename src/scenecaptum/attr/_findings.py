@@ -107,7 +107,7 @@ class Row:
     name
         Its place: ``"y = 5 m"``.
     side
-        The side of the plan from which rows are counted: ``"top"``, or of columns ``"right"``.
+        The side of the plan from which rows are counted: ``"top"``, or of columns ``"left"``.
     count
         The number of its points.
     value

@@ -42,7 +42,7 @@ def find_rows(
         Row(
             index + 1,
             f"{axis} = {minus(f'{place:g}')} m",
-            "top" if upward else "right",
+            "top" if upward else "left",
             len(row),
             None if values is None else values[row].mean().item(),
             means[index].item(),
@@ -59,14 +59,14 @@ def is_of_daylight(metric: TargetedMetric) -> bool:
 
 
 def _rows(grid: GridPoints, light: torch.Tensor) -> tuple[str, dict[float, torch.Tensor]]:
-    """Return the axis across the rows, and the points of each row from the top or the right of the plan."""
+    """Return the axis across the rows, and the points of each row from the top or the left of the plan."""
     plan = grid.plan[grid.inside]
     found = []
     for axis in (0, 1):
         places = plan[:, axis].mul(100).round().div(100)
         rows = {
             place: torch.nonzero(places == place).flatten()
-            for place in sorted(set(places.tolist()), reverse=axis == 0 or grid.axes != FROM_BELOW)
+            for place in sorted(set(places.tolist()), reverse=axis == 1 and grid.axes != FROM_BELOW)
         }
         means = torch.stack([light[row].mean() for row in rows.values()])
         found.append((means.var(correction=0).item(), axis, rows))
