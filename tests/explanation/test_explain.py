@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 
 import pytest
 import results
@@ -16,6 +17,7 @@ from scenecaptum.attr import Explanation
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
+from scenecaptum.explanation._threshold import small_lamp_notes
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import format_with_error, plot_bars, table_text
 
@@ -353,14 +355,7 @@ def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, 
         assert sum("check the scene's units" in note for note in said.notes()) == 1
 
 
-@pytest.mark.parametrize(
-    ("width", "radius", "is_small"), [(8, 0.1, True), (8, 0.003, True), (64, 0.1, False)]
-)
-def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: float, is_small: bool):
-    """Its pixel is averaged with the dark around it: at 8 pixels it is no glare source, at 64 it is one.
-
-    No ray of a pixel's map meets the smallest.
-    """
+def bulb_before_a_wall(mi, width: int, radius: float, spp: int = 64) -> SceneRenderer:
     transform = mi.ScalarTransform4f()
     lamp = {"type": "area", "radiance": {"type": "rgb", "value": 60.0}}
     scene = {
@@ -374,11 +369,35 @@ def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: f
         "wall": {"type": "rectangle", "to_world": transform.translate([0, 0, -1]).scale(9)},
         "bulb": {"type": "sphere", "radius": radius, "center": [0.3, 0.2, 0], "emitter": lamp},
     }
-    renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=64, max_depth=2)
+    return SceneRenderer(scene, "emitters", resolution=(width, width), spp=spp, max_depth=2)
+
+
+@pytest.mark.parametrize(
+    ("width", "radius", "is_small"), [(8, 0.1, True), (8, 0.003, True), (64, 0.1, False)]
+)
+def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: float, is_small: bool):
+    """Its pixel is averaged with the dark around it: at 8 pixels it is no glare source, at 64 it is one.
+
+    No ray of a pixel's map meets the smallest.
+    """
+    renderer = bulb_before_a_wall(mi, width, radius)
     metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
     notes = photometric_premises(metric, image, metric(image).item(), 0.1, renderer=renderer)
     assert sum("bulb covers less than half of any pixel: its light" in note for note in notes) == is_small
     assert any("nothing counts as a glare source" in note for note in notes) == is_small
+
+
+def test_the_caution_of_a_small_lamp_says_how_much_a_finer_picture_has_more(mi):
+    def rated(width: int, spp: int) -> tuple[float, list[str]]:
+        renderer = bulb_before_a_wall(mi, width, 0.1, spp)
+        metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
+        return metric.hard(image).item(), small_lamp_notes(metric, image, renderer.small_lamps)
+
+    (coarse, (note,)), (fine, none) = rated(8, 64), rated(512, 4)
+    assert none == []
+    by = float(re.search(r"too low, by about ([\d.]+)", note)[1])
+    # Pixels at its edge average it with the wall, and those of the coarse picture are elsewhere: 8 log10(…).
+    assert coarse + by == pytest.approx(fine, abs=8 * math.log10(1.3))
 
 
 def test_a_noisy_uniformity_is_cautioned():

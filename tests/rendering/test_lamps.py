@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
+import torch
 
 from scenecaptum import SceneRenderer
 
@@ -46,8 +48,13 @@ def test_small_lamps_are_those_that_the_camera_sees(bulbs: dict[str, Any], senso
     found = renderer.small_lamps
     beside = {"beside_the_picture"} if sensor == "fisheye" else set()  # a hemisphere shows it
     assert {*found} - {"large"} == {"small", "tiny", "behind_a_pane"} | beside
-    assert found["small"].tolist() == pytest.approx([30.0] * 3)
-    assert found["tiny"].tolist() == pytest.approx([60.0] * 3)
+    for name, radiance, radius in (("small", 30.0, 0.1), ("tiny", 60.0, 0.001)):
+        assert found[name].radiance.tolist() == pytest.approx([radiance] * 3)
+        x, y, z = bulbs[name]["center"]
+        distance = math.hypot(x, y, z - 4)
+        assert found[name].solid_angle == pytest.approx(math.pi * (radius / distance) ** 2, rel=0.15)
+        ahead = renderer.camera.directions[found[name].pixel]
+        assert ahead @ torch.tensor([x, y, 4 - z]).double() / distance > 0.96
 
 
 def test_lamps_are_not_small_in_a_large_picture(bulbs: dict[str, Any]) -> None:

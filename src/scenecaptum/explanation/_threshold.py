@@ -9,10 +9,12 @@ import torch
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
+from ..rendering import SmallLamp
 from ..visualization import Format, advised, first_few, rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
+NOTABLE = 0.01  # of a rating
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 
 
@@ -56,27 +58,32 @@ def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
     return isinstance(metric, GlareRating) and metric.threshold_factor is None
 
 
-def small_lamp_notes(
-    metric: GlareRating, image: torch.Tensor, lamps: Mapping[str, torch.Tensor]
-) -> list[str]:
-    """Return a caution if lamps that would count as glare sources cover less than half of any pixel.
+def small_lamp_notes(metric: GlareRating, image: torch.Tensor, lamps: Mapping[str, SmallLamp]) -> list[str]:
+    """Return a caution if lamps that cover less than half of any pixel are rated too low, and by how much.
 
-    The luminance of their pixels is averaged with what surrounds them, and glare grows faster than luminance.
-    ``lamps`` are the radiances of all that are as small.
+    The luminance of their pixels is averaged with what surrounds them, and glare grows faster than luminance:
+    with its square. ``lamps`` are all that are as small.
     """
     threshold = metric.held_at(image).threshold
-    small = [
-        name
-        for name, radiance in lamps.items()
-        if metric.efficacy * luminance(radiance[None, None]).item() > threshold
-    ]
-    if not small:
+    seen = {
+        name: metric.efficacy * luminance(lamp.radiance[None, None]).item() for name, lamp in lamps.items()
+    }
+    bright = {name: lamp for name, lamp in lamps.items() if seen[name] > threshold}
+    resolved, compared = image.clone(), image.clone()
+    for name, lamp in bright.items():
+        share = lamp.solid_angle / metric.camera.solid_angles[lamp.pixel].item()
+        # As much luminance² · solid angle as the lamp has, and the lamp's luminance against the threshold.
+        as_bright = max(luminance(image)[lamp.pixel].item(), seen[name] / metric.efficacy * share**0.5)
+        resolved[lamp.pixel], compared[lamp.pixel] = as_bright, seen[name] / metric.efficacy
+    value = metric.hard(image).item()
+    missing = metric.hard(resolved, compared=compared).item() - value
+    if missing <= NOTABLE * value:
         return []
-    cover, their, them = ("covers", "its", "it") if len(small) == 1 else ("cover", "their", "them")
+    cover, their, them = ("covers", "its", "it") if len(bright) == 1 else ("cover", "their", "them")
     return [
         advised(
-            f"caution: {first_few(small)} {cover} less than half of any pixel: {their} light is averaged with "
-            f"what is around {them}, so that the rating is too low",
+            f"caution: {first_few([*bright])} {cover} less than half of any pixel: {their} light is averaged with "
+            f"what is around {them}, so that the rating is too low, by about {rounded(missing)}",
             "use a higher resolution",
         )
     ]

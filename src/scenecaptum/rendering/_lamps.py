@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -14,34 +14,39 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ._backward import one_for_each
 from ._registry import shape_index
+from ._small_lamp import SmallLamp
 from ._visibility import follow_specular
 
 _SIDE = 4  # of the grid of points on a lamp
 _HALF_DIAGONAL = 0.75  # of a pixel, in square roots of its solid angle
 
 
-def visible_radiances(
-    scene: Any, sensor: Any, camera: Camera, lamps: Mapping[str, Any]
-) -> dict[str, torch.Tensor]:
-    """Return the largest radiance, ``(3,)``, of each small lamp that a camera sees, through panes too.
+class _Points(NamedTuple):
+    """Points on a lamp as a camera sees them: directions ``(points, 3)``, and the solid angle of each."""
+
+    towards: NDArray[Any]
+    solid_angles: NDArray[Any]
+
+
+def visible_lamps(scene: Any, sensor: Any, camera: Camera, lamps: Mapping[str, Any]) -> dict[str, SmallLamp]:
+    """Return what a camera sees of small lamps, through panes too.
 
     ``lamps`` are shapes that emit light, by name. Those that are hidden or not in the picture are left out.
     """
     origin, directions = _rays_of_pixels(sensor, camera)
-    towards = {name: _unit(_points_on(shape) - origin) for name, shape in lamps.items()}
-    shown = [
-        name for name, rays in towards.items() if _is_in_picture(_unit(rays.mean(0)), directions, camera)
-    ]
+    points = {name: _points_on(shape, origin) for name, shape in lamps.items()}
+    pixels = {name: _pixel_of(one.towards.mean(0), directions, camera) for name, one in points.items()}
+    shown = {name: pixel for name, pixel in pixels.items() if pixel is not None}
     if not shown:
         return {}
-    radiance, met = _trace(scene, origin, np.concatenate([towards[name] for name in shown]))
-    largest = {}
-    for name, found, shape in zip(
-        shown, np.split(radiance, len(shown)), np.split(met, len(shown)), strict=True
-    ):
+    radiance, met = _trace(scene, origin, np.concatenate([points[name].towards for name in shown]))
+    found = {}
+    parts = zip(shown.items(), np.split(radiance, len(shown)), np.split(met, len(shown)), strict=True)
+    for (name, pixel), of_points, shape in parts:
         if (is_lamp := shape == shape_index(lamps[name])).any():
-            largest[name] = torch.from_numpy(found[is_lamp].max(0))
-    return largest
+            solid_angle = float(points[name].solid_angles[is_lamp].sum())
+            found[name] = SmallLamp(torch.from_numpy(of_points[is_lamp].max(0)), solid_angle, pixel)
+    return found
 
 
 def _rays_of_pixels(sensor: Any, camera: Camera) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -53,25 +58,27 @@ def _rays_of_pixels(sensor: Any, camera: Camera) -> tuple[NDArray[Any], NDArray[
     return ray.o.numpy()[:, 0], ray.d.numpy().T
 
 
-def _points_on(shape: Any) -> NDArray[Any]:
-    """Return points of a shape, ``(points, 3)``, uniform by area."""
+def _points_on(shape: Any, origin: NDArray[Any]) -> _Points:
+    """Return points of a shape, uniform by area."""
     row, column = np.divmod(np.arange(_SIDE**2), _SIDE)
-    samples = mi.Point2f((column + 0.5) / _SIDE, (row + 0.5) / _SIDE)
-    points: NDArray[Any] = shape.sample_position(0.0, samples).p.numpy().T
-    return points
+    sample = shape.sample_position(0.0, mi.Point2f((column + 0.5) / _SIDE, (row + 0.5) / _SIDE))
+    ways = sample.p.numpy().T - origin
+    distances = np.linalg.norm(ways, axis=1, keepdims=True)
+    towards = ways / distances
+    normals = np.broadcast_to(sample.n.numpy(), (3, _SIDE**2)).T
+    facing = np.maximum(0, -(normals * towards).sum(1))
+    area = shape.surface_area()[0] / _SIDE**2
+    return _Points(towards, area * facing / distances[:, 0] ** 2)
 
 
-def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
-    lengths: NDArray[Any] = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    unit: NDArray[Any] = vectors / lengths
-    return unit
-
-
-def _is_in_picture(direction: NDArray[Any], directions: NDArray[Any], camera: Camera) -> bool:
-    cosines = directions @ direction
+def _pixel_of(direction: NDArray[Any], directions: NDArray[Any], camera: Camera) -> tuple[int, int] | None:
+    """Return the row and the column that show a direction; None if it is not in the picture."""
+    cosines = directions @ direction / np.linalg.norm(direction)
     nearest = int(cosines.argmax())
-    solid_angle = camera.solid_angles.reshape(-1)[nearest].item()  # 0 outside a fisheye's circle
-    return bool(np.arccos(min(1.0, cosines[nearest])) <= _HALF_DIAGONAL * solid_angle**0.5)
+    row, column = divmod(nearest, camera.width)
+    solid_angle = camera.solid_angles[row, column].item()  # 0 outside a fisheye's circle
+    is_shown = np.arccos(min(1.0, cosines[nearest])) <= _HALF_DIAGONAL * solid_angle**0.5
+    return (row, column) if is_shown else None
 
 
 def _trace(scene: Any, origin: NDArray[Any], towards: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:

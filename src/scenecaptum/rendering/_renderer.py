@@ -65,6 +65,7 @@ from ._sensors import (
     is_grid,
     shows_a_view,
 )
+from ._small_lamp import SmallLamp
 
 T = TypeVar("T")
 
@@ -658,12 +659,12 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             return has_point_lamps(self._graph.scene)
 
     @property
-    def small_lamps(self) -> dict[str, torch.Tensor]:
+    def small_lamps(self) -> dict[str, SmallLamp]:
         """The lamps that the camera sees, through panes too, but that cover less than half of any pixel.
 
-        Their largest radiance, ``(3,)``, by the names of their objects; none where ``surfaces`` is None.
+        By the names of their objects; none where ``surfaces`` is None.
         """
-        from ._lamps import visible_radiances
+        from ._lamps import visible_lamps
 
         if (surfaces := self.see_through(())) is None:
             return {}
@@ -673,7 +674,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
                 for name, shape, _ in self._graph.shapes()
                 if shape.is_emitter() and surfaces.mask(name).max() < FILLED
             }
-            return visible_radiances(self._graph.scene, self._sensors[0], self.camera, lamps)
+            return visible_lamps(self._graph.scene, self._sensors[0], self.camera, lamps)
 
     @property
     def has_grid(self) -> bool:

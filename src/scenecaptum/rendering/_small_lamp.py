@@ -1,0 +1,25 @@
+"""A lamp that is smaller than a pixel."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+
+
+class SmallLamp(NamedTuple):
+    """What a camera sees of a lamp that is smaller than a pixel.
+
+    Attributes
+    ----------
+    radiance
+        The largest radiance towards the camera, ``(3,)``.
+    solid_angle
+        In steradians, about: of a lamp without dents.
+    pixel
+        The row and the column that show it.
+    """
+
+    radiance: torch.Tensor
+    solid_angle: float
+    pixel: tuple[int, int]
