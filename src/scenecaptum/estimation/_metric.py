@@ -34,7 +34,7 @@ OWN_ADVICE = (
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
     """Raise if either is not callable, is a class, or if they were passed in the wrong order.
 
-    Warn if the metric calls a network in training mode.
+    Warn if the metric refers to a network in training mode.
     """
     for name, value in (("renderer", renderer), ("metric", metric)):
         check_callable(name, value, ": pass a renderer, then a metric")
