@@ -10,7 +10,15 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..visualization import rounded
-from ._classes import check_class, check_names, class_index, class_name, class_names, named_class
+from ._classes import (
+    check_class,
+    check_names,
+    class_index,
+    class_name,
+    class_names,
+    named_class,
+    warn_of_probabilities,
+)
 from ._measure import Measure
 from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._noise import without_smoothing
@@ -58,6 +66,7 @@ class ClassifierMetric(NetworkMetric):
         if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != len(images):
             raise SceneCaptumError(_not_logits(self.model, logits))
         check_names(self.classes, logits.shape[1], self.model)
+        warn_of_probabilities(logits, self.model)
         return logits
 
     def target_index(self, name: str) -> int:

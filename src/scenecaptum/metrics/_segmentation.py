@@ -10,7 +10,15 @@ import torch
 from ..errors import SceneCaptumError
 from ..visualization import rounded
 from ._checks import cast_like
-from ._classes import check_class, check_names, class_index, class_name, class_names, named_class
+from ._classes import (
+    check_class,
+    check_names,
+    class_index,
+    class_name,
+    class_names,
+    named_class,
+    warn_of_probabilities,
+)
 from ._mask import check_mask, check_mask_fits, mask_in_input
 from ._measure import Measure
 from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
@@ -109,6 +117,7 @@ class SegmentationScore(NetworkMetric):
                 f"'out'; {name} returned {describe_output(output)}. {wrap_it(output, 4, 'them', 'logits')}"
             )
         check_names(self.classes, logits.shape[1], self.model)
+        warn_of_probabilities(logits, self.model)
         return cast_like(logits, images)
 
     def _weight(self, images: torch.Tensor, logits: torch.Tensor) -> torch.Tensor:
