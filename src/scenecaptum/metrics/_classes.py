@@ -33,6 +33,11 @@ def class_index(target: int | str, classes: Sequence[str], setting: str = "targe
     raise SceneCaptumError(f"The model has no class called {target!r}. {known}")
 
 
+def from_start(index: int | None, count: int) -> int | None:
+    """Return a negative index, from the end of ``count`` classes, as that from the start."""
+    return index + count if index is not None and -count <= index < 0 else index
+
+
 def class_name(index: int | None, classes: Sequence[str]) -> str:
     """Return the name of a class, or ``class 3`` without names."""
     return classes[index] if index is not None and 0 <= index < len(classes) else f"class {index}"

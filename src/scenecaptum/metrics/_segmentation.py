@@ -16,6 +16,7 @@ from ._classes import (
     class_index,
     class_name,
     class_names,
+    from_start,
     named_class,
     warn_of_probabilities,
 )
@@ -92,6 +93,7 @@ class SegmentationScore(NetworkMetric):
         self.score = score
         self.classes = class_names(model, classes)
         self.target = None if target is None else class_index(target, self.classes)
+        self.n_classes = len(self.classes)  # 0 until the network has been called, if they have no names
         self.register_buffer("mask", check_mask(mask))
 
     def of_batch(self, images: torch.Tensor) -> torch.Tensor:
@@ -118,6 +120,7 @@ class SegmentationScore(NetworkMetric):
             )
         check_names(self.classes, logits.shape[1], self.model)
         warn_of_probabilities(logits, self.model)
+        self.n_classes = logits.shape[1]
         return cast_like(logits, images)
 
     def _weight(self, images: torch.Tensor, logits: torch.Tensor) -> torch.Tensor:
@@ -133,7 +136,7 @@ class SegmentationScore(NetworkMetric):
 
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
         """Return what an element of the output measures."""
-        index = target[0] if isinstance(target, tuple) else target
+        index = from_start(target[0] if isinstance(target, tuple) else target, self.n_classes)
         score = self.score.replace("_", " ")
         return self.named_measure(f"mean {score} of {class_name(index, self.classes)} on the mask")
 
@@ -153,6 +156,7 @@ class SegmentationScore(NetworkMetric):
         with torch.no_grad():
             logits, value = self.logits(image[None]), self.of_batch(image[None])[0]
             weight = self._weight(image[None], logits)
+        index = index % logits.shape[1]  # an index from the end is negative
         shares = torch.bincount(
             logits.argmax(1).flatten(), weight.flatten().double(), minlength=logits.shape[1]
         )
