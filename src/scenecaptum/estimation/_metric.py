@@ -321,7 +321,8 @@ class TargetedMetric:
         if not isinstance(output, torch.Tensor):
             raise SceneCaptumError(
                 f"The metric {self.name} must return a torch tensor, not {type(output).__name__}. "
-                "Write it in torch operations, without .item(), float() or numpy."
+                "Write it in torch operations, without .item(), float() or numpy; for a method without gradients, "
+                "such as an ablation, torch.tensor(number) will do."
             )
         if self.target is not None:
             output = self._at_target(output)
