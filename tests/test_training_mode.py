@@ -1,8 +1,11 @@
-"""Networks in training mode that functions call are named; the library's own metrics and losses are not."""
+"""Networks in training mode that functions refer to are named; the library's own metrics and losses are not."""
 
 from __future__ import annotations
 
 import functools
+import math
+import time
+import types
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -15,6 +18,7 @@ from scenecaptum import FeatureAblationScene, VanillaSceneGradient, metrics
 
 IMAGE = torch.rand(16, 20, 3)
 NETWORK = torch.nn.Sequential(torch.nn.Conv2d(3, 4, 3), torch.nn.BatchNorm2d(4), torch.nn.Flatten())
+BY_SIZE = {"small": {"first": NETWORK}}
 
 
 class Scorer:
@@ -42,26 +46,54 @@ def with_argument(network: torch.nn.Module, x: torch.Tensor) -> torch.Tensor:
     return network(x)
 
 
+def with_nested_global(x: torch.Tensor) -> torch.Tensor:
+    return BY_SIZE["small"]["first"](x)
+
+
+class Settings:
+    """An object that cannot be called, with a network in a container."""
+
+    def __init__(self, network: torch.nn.Module) -> None:
+        self.networks = {"x": [network]}
+        self.itself = self
+
+
+SETTINGS = Settings(NETWORK)
+
+
+def with_settings(x: torch.Tensor) -> torch.Tensor:
+    return SETTINGS.networks["x"][0](x)
+
+
 def functions(net: torch.nn.Module) -> dict[str, Callable[..., Any]]:
-    """Return functions that call a network, by the name that the warning has for it."""
+    """Return functions that call a network, by the expression that the warning has for it."""
 
     def inner(x: torch.Tensor) -> torch.Tensor:
         return net(x)
 
-    listed = [net]
+    listed, weighted, settings = [net], [(1.0, 2.0), (0.5, net)], types.SimpleNamespace(net=net)
+    partial = functools.partial(with_argument, [net])
     return {
         "net": inner,
         "net ": lambda x: 2 * inner(x),
         "NETWORK": with_global,
         "NETWORK ": through_another_function,
-        "its argument": functools.partial(with_argument, net),
+        "network ": functools.partial(with_argument, net),
+        "partial.func": functools.partial(net),
+        "partial.args[0]": functools.partial(math.hypot, net),
+        "network[0]": lambda image: 2 * partial(image),
         "network": functools.partial(with_argument, network=net),
         "self.network": Scorer(net),
         "self.network ": Scorer(net).score,
         "self": net.forward,
         "default": lambda image, default=net: default(image),
         "keyword": lambda image, *, keyword=net: keyword(image),
-        "its element 0": lambda image: 2 * listed[0](image),
+        "listed[0]": lambda image: 2 * listed[0](image),
+        "weighted[1][1]": lambda image: sum(weight * one(image) for weight, one in weighted),
+        "BY_SIZE['small']['first']": with_nested_global,
+        "settings.net": lambda image: 2 * settings.net(image),
+        "SETTINGS.networks['x'][0]": with_settings,
+        "an element of chosen": lambda image, chosen=frozenset([net]): [one(image) for one in chosen],
     }
 
 
@@ -85,7 +117,7 @@ def in_training_mode():
 def test_a_network_in_training_mode_is_named_until_it_is_not(place, make):
     function = functions(NETWORK)[place]
     (warning,) = said(lambda: make(function))
-    assert f"calls {place.strip()} (Sequential), which is in training mode" in warning
+    assert f"refers to {place.strip()} (Sequential), which is in training mode" in warning
     assert f"Call .eval() on {place.strip()} first." in warning
     NETWORK.eval()
     assert said(lambda: make(function)) == []
@@ -99,7 +131,18 @@ def test_a_metric_that_is_a_network_in_training_mode_is_named():
 @pytest.mark.parametrize("wrap", [metrics.Smoothed, metrics.PerCamera])
 def test_metrics_of_metrics_look_into_functions(wrap):
     (warning,) = said(lambda: wrap(with_global))
-    assert "with_global calls NETWORK" in warning
+    assert "with_global refers to NETWORK" in warning
+
+
+def test_a_function_with_many_numbers_is_searched_quickly():
+    numbers = [list(range(1000)) for _ in range(100)]
+
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        return numbers[0][1] * image.mean()
+
+    start = time.perf_counter()
+    assert said(lambda: metrics.Smoothed(metric)) == []
+    assert time.perf_counter() - start < 1  # it takes some 0.01 s
 
 
 def test_what_trains_nothing_is_not_named():

@@ -1,7 +1,8 @@
-"""Networks that a function calls, found without calling it, and a warning if one of them is in training mode."""
+"""Networks that a function refers to, found without calling it; a warning if one is in training mode."""
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import dis
 import functools
@@ -10,24 +11,30 @@ import itertools
 import types
 import warnings
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, TypeAlias
 
 import torch
 from torch.nn.modules.batchnorm import _NormBase
 from torch.nn.modules.dropout import _DropoutNd
 
+Reference: TypeAlias = "tuple[str, Any]"  # the expression for a value, and the value
+
 _PACKAGE = __name__.partition(".")[0]
+_CONTAINERS = (dict, list, tuple, set, frozenset)
+_FOLLOWED = (torch.nn.Module, *_CONTAINERS, types.SimpleNamespace, functools.partial, types.MethodType)
+# What is frequent in containers, and is and contains no network.
+_LEAVES = frozenset({str, bytes, bool, int, float, complex, type(None), torch.Tensor})
 
 
 def warn_of_training_mode(function: Callable[..., Any]) -> None:
-    """Warn of every network in training mode that a function calls, or that it is itself."""
+    """Warn of every network in training mode that a function refers to, or that it is itself."""
     name = getattr(function, "__name__", type(function).__name__)
     for place, network in _networks(function):
         if _trains(network):
             state = "is in training mode" if network.training else "has layers in training mode"
-            calls = "" if network is function else f" calls {place} ({type(network).__name__}), which"
+            refers = "" if network is function else f" refers to {place} ({type(network).__name__}), which"
             warnings.warn(
-                f"{name}{calls} {state}: dropout and batch normalization act as in training, and "
+                f"{name}{refers} {state}: dropout and batch normalization act as in training, and "
                 f"running statistics change. Call .eval() on {place} first.",
                 stacklevel=_outside(),
             )
@@ -75,51 +82,84 @@ def _layers(network: torch.nn.Module) -> Iterator[torch.nn.Module]:
             yield from _layers(child)
 
 
-def _networks(function: Any) -> list[tuple[str, torch.nn.Module]]:
-    """Return the networks that a callable refers to, by their names there."""
-    found: list[tuple[str, torch.nn.Module]] = []
-    seen: set[int] = set()
-    waiting = [("the metric", function)]
+def _networks(function: Any) -> list[Reference]:
+    """Return the networks that a callable refers to, each once, with the expressions for them there."""
+    if isinstance(function, torch.nn.Module):
+        return [("the metric", function)]
+    found: list[Reference] = []
+    seen: dict[int, Any] = {}  # with the objects, so that no other gets the identity of one that is gone
+    waiting = collections.deque([("partial" if _is_partial(function) else "self", function, "")])
     while waiting:
-        place, value = waiting.pop(0)
+        place, value, module = waiting.popleft()
         if id(value) in seen:
             continue
-        seen.add(id(value))
+        seen[id(value)] = value
         if isinstance(value, torch.nn.Module):
             found.append((place, value))
         else:
-            waiting += _references(value)
+            module = _module_of(value) if callable(value) else module
+            waiting.extend((*reference, module) for reference in _references(place, value, module))
     return found
 
 
-def _references(value: Any) -> list[tuple[str, Any]]:
-    """Return what a callable refers to that may be a network or call one, by its names there."""
-    if isinstance(value, functools.partial):
-        return [
-            ("its function", value.func),
-            *(("its argument", one) for one in value.args),
-            *value.keywords.items(),
-        ]
-    if isinstance(value, list | tuple | dict):
-        keyed = value.items() if isinstance(value, dict) else enumerate(value)
-        return [(f"its element {key!r}", one) for key, one in keyed if isinstance(one, torch.nn.Module)]
+def _references(place: str, value: Any, module: str) -> list[Reference]:
+    """Return what a value refers to that may be a network or lead to one.
+
+    ``place`` is the expression for the value, ``module`` the name of the file of the function that refers to it.
+    """
+    if _is_partial(value):
+        return [(f"{place}.func", value.func), *_arguments(place, value)]
+    if isinstance(value, _CONTAINERS):
+        return _elements(place, value)
     if isinstance(value, types.MethodType):
-        return [("its function", value.__func__), ("self", value.__self__), *_attributes(value.__self__)]
+        owner = place if place == "self" else f"{place}.__self__"
+        return [(place, value.__func__), (owner, value.__self__), *_attributes(owner, value.__self__)]
     if isinstance(value, types.FunctionType):
         return [*_closure(value), *_globals(value)]
     if callable(value) and not isinstance(value, type | types.BuiltinFunctionType):
-        return [("its function", type(value).__call__), *_attributes(value)]
+        return [(place, type(value).__call__), *_attributes(place, value)]
+    if isinstance(value, types.SimpleNamespace) or type(value).__module__ == module:
+        return _attributes(place, value)
     return []
 
 
-def _attributes(owner: Any) -> list[tuple[str, Any]]:
+def _is_partial(value: Any) -> bool:
+    return isinstance(value, functools.partial)
+
+
+def _module_of(function: Any) -> str:
+    """Return the name of the file in which a function, or the class of an object, is defined."""
+    if _is_partial(function):
+        return _module_of(function.func)
+    is_function = isinstance(function, types.FunctionType | types.MethodType)
+    return str((function if is_function else type(function)).__module__)
+
+
+def _arguments(place: str, partial: functools.partial[Any]) -> list[Reference]:
+    """Return the arguments of a partial function, by the names of the function's parameters."""
+    try:
+        bound = inspect.signature(partial.func).bind_partial(*partial.args, **partial.keywords)
+    except (TypeError, ValueError):  # the function has no signature, or not these arguments
+        return [(f"{place}.args", partial.args), *partial.keywords.items()]
+    return list(bound.arguments.items())
+
+
+def _elements(place: str, container: Any) -> list[Reference]:
+    """Return the elements of a container that are no numbers, strings or tensors."""
+    if isinstance(container, set | frozenset):
+        return [(f"an element of {place}", one) for one in container if type(one) not in _LEAVES]
+    keyed = container.items() if isinstance(container, dict) else enumerate(container)
+    return [(f"{place}[{key!r}]", one) for key, one in keyed if type(one) not in _LEAVES]
+
+
+def _attributes(place: str, owner: Any) -> list[Reference]:
     """Return the attributes of an object; those of a network are found with it."""
     if isinstance(owner, torch.nn.Module | type):
         return []
-    return [(f"self.{name}", value) for name, value in getattr(owner, "__dict__", {}).items()]
+    return [(f"{place}.{name}", value) for name, value in getattr(owner, "__dict__", {}).items()]
 
 
-def _closure(function: types.FunctionType) -> list[tuple[str, Any]]:
+def _closure(function: types.FunctionType) -> list[Reference]:
     """Return the variables of the enclosing functions, and the defaults of the arguments."""
     code = function.__code__
     defaults, positional = function.__defaults__ or (), code.co_varnames[: code.co_argcount]
@@ -131,16 +171,15 @@ def _closure(function: types.FunctionType) -> list[tuple[str, Any]]:
     return found
 
 
-def _globals(function: types.FunctionType) -> list[tuple[str, Any]]:
-    """Return the networks, and what can be called of the same file, that a function loads by name."""
+def _globals(function: types.FunctionType) -> list[Reference]:
+    """Return what a function loads by name: networks, what may contain them, and what is of the same file."""
     found = []
     for name in dict.fromkeys(_loaded(function.__code__)):
         value = function.__globals__.get(name)
         same_file = getattr(type(value), "__module__", None) == function.__module__ or (
             isinstance(value, types.FunctionType) and value.__globals__ is function.__globals__
         )
-        of_networks = isinstance(value, torch.nn.Module | list | tuple | dict)
-        if same_file or of_networks or isinstance(value, functools.partial | types.MethodType):
+        if same_file or isinstance(value, _FOLLOWED):
             found.append((name, value))
     return found
 

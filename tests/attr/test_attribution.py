@@ -169,17 +169,31 @@ def test_a_negative_target_is_the_class_that_it_counts_to(classes):
     network = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten())
     logits = metrics.ClassLogit(network, transform=torch.nn.Identity(), classes=classes)
     method = VanillaSceneGradient(ToyRenderer(noise=0.0), logits)
-    last, same = (method.attribute(target=target) for target in (2, -1))
+    same, last = (method.attribute(target=target) for target in (-1, 2))
     assert torch.equal(last["x"], same["x"])
     assert last.info["verdict"] == same.info["verdict"]
+    name = "blue" if classes else "class 2"
+    assert same.info["measure"]["name"] == f"logit of {name}"
+    assert same.info["metric"] == last.info["metric"] == f"ClassLogit[{'blue' if classes else 2}]"
     if not classes:
         return
-    assert same.info["metric"] == "ClassLogit[blue]"
     for beyond in (3, -4):
         with pytest.raises(
             SceneCaptumError, match=rf"target={beyond} does not .* classes: red, green, blue\.$"
         ):
             method.attribute(target=beyond)
+
+
+@pytest.mark.parametrize("kind", [metrics.ClassLogit, metrics.ClassProbability])
+def test_methods_and_metrics_of_metrics_name_the_class_of_a_negative_target(kind):
+    network = torch.nn.Sequential(torch.nn.AdaptiveAvgPool2d(1), torch.nn.Flatten())
+    metric = metrics.Smoothed(kind(network, transform=torch.nn.Identity()), n=2)
+    info = FeatureAblationScene(ToyRenderer(), metric).attribute(target=-1).info
+    assert info["metric"] == f"smoothed {kind.__name__}[2]"
+    assert info["measure"]["name"].endswith(" of class 2")
+    of_cameras = metrics.PerCamera(kind(network, transform=torch.nn.Identity()))
+    of_cameras(torch.rand(2, 4, 4, 3))
+    assert of_cameras.measure_of((0, -1)).name.endswith(" of class 2 of camera 0")
 
 
 def test_target_chooses_an_element_of_a_vector():

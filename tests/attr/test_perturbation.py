@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping
 
 import captum.attr
+import numpy as np
 import pytest
 import torch
 from chance import allowed, check_error_bars
@@ -360,6 +361,20 @@ def test_nothing_is_differentiated_not_even_the_metric(method):
 
     for metric in (hard, torch.mean):
         method(Primal(), metric).attribute()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_metric_that_returns_a_number_is_told_to_make_a_tensor_of_it(method):
+    def count(image: torch.Tensor) -> np.float64:
+        return np.count_nonzero(image.detach().numpy() > 0.5) / image.numel()
+
+    with pytest.raises(
+        SceneCaptumError,
+        match=r"not float64\. .*for a method without gradients, such as an ablation, "
+        r"torch\.tensor\(number\) will do",
+    ):
+        method(PartsRenderer(), count).attribute()
+    method(PartsRenderer(), lambda image: torch.tensor(count(image))).attribute()
 
 
 # ------------------------------------------------------------------------------------------------ interruption

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 
 import pytest
 import torch
@@ -88,6 +89,29 @@ def test_a_pretrained_model_can_be_compared_by_names(torchvision, monkeypatch):
     monkeypatch.setattr(torchvision.models, "get_model", lambda name, weights: tiny)
     metric = ClassLogit.pretrained("resnet50", target="folding chair", against="rocking chair")
     assert (metric.target, metric.against) == (559, 765)
+
+
+# --- Networks that return probabilities ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("make", [ClassLogit, ClassProbability])
+def test_a_network_that_ends_in_a_softmax_warns_once(make):
+    probabilities = torch.nn.Sequential(small_network(), torch.nn.Softmax(1))
+    metric = make(probabilities, 1, UNCHANGED)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("default")
+        metric(ordinary())
+        metric(ordinary(seed=1))
+        metric.verdict(ordinary())
+    (warning,) = caught
+    assert "The output of Sequential looks like probabilities" in str(warning.message)
+    assert "return what goes into the network's own softmax" in str(warning.message)
+
+
+@pytest.mark.parametrize("values", [[1.0], [0.5, 0.6], [1.5, -0.5], [0.3, 0.6998]])
+def test_logits_that_are_no_probabilities_do_not_warn(values, recwarn):
+    ClassProbability(logits_of(values), 0, UNCHANGED)(WHITE)
+    assert not recwarn.list
 
 
 # --- Probabilities --------------------------------------------------------------------------------

@@ -53,6 +53,18 @@ def test_the_dict_of_torchvision_is_understood():
     torch.testing.assert_close(nested(image), plain(image))
 
 
+def test_a_negative_target_is_the_class_that_it_counts_to():
+    metric = SegmentationScore(small_segmenter(), None, corner(), UNCHANGED)
+    assert metric.verdict(ordinary(), -1) == metric.verdict(ordinary(), 3)
+    assert metric.measure_of(-1).name == "mean logit of class 3 on the mask"
+
+
+def test_a_network_that_ends_in_a_softmax_warns():
+    probabilities = torch.nn.Sequential(small_segmenter(), torch.nn.Softmax(1))
+    with pytest.warns(UserWarning, match="The output of Sequential looks like probabilities"):
+        SegmentationScore(probabilities, 1, corner(), UNCHANGED)(ordinary())
+
+
 @pytest.mark.parametrize("stride", [1, 3])
 def test_derivatives_agree_with_finite_differences(stride):
     mask = torch.zeros(6, 7)

@@ -323,6 +323,53 @@ def test_a_model_that_returns_no_logits_is_refused(output, message):
         metrics.ClassLogit(output, 0)(torch.rand(20, 30, 3))
 
 
+def wrong_order(pictures: torch.Tensor) -> torch.Tensor:
+    return pictures.permute(0, 2, 3, 1)
+
+
+@pytest.mark.parametrize("wrap", [lambda metric: metric, metrics.Smoothed])
+def test_an_error_of_a_network_names_what_transform_made(wrap):
+    network = backbone(torch.float32)
+    image = torch.rand(32, 24, 3)
+    for metric in (
+        metrics.ClassLogit(network, 1, wrong_order),
+        metrics.ClassLogit(lambda x: network(x), 1, wrong_order),  # noqa: PLW0108 -- no module
+        metrics.EmbeddingDistance(torch.rand(4), network, wrong_order),
+    ):
+        with pytest.raises(
+            SceneCaptumError,
+            match=r"cannot take a tensor of shape \(\d, 32, 24, 3\), which transform= makes of the picture: .*"
+            r"torch says: .*to have 3 channels",
+        ) as caught:
+            TargetedMetric(wrap(metric)).value(image)
+        assert "use metrics.ClassLogit" not in str(caught.value)
+    small = torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(12, 2))
+    with pytest.raises(SceneCaptumError, match=r"shape \(1, 3, 32, 24\), which transform= .*1x2304 and 12x2"):
+        metrics.ClassLogit(small, 1, lambda picture: picture)(image)
+
+
+def test_an_error_of_a_transform_names_the_picture():
+    metric = metrics.ClassLogit(backbone(torch.float32), 1, lambda picture: picture.permute(1, 2, 0))
+    with pytest.raises(SceneCaptumError, match=r"transform= cannot take a tensor of shape \(1, 3, 32, 24\)"):
+        metric(torch.rand(32, 24, 3))
+
+
+def test_an_error_of_a_network_that_is_not_of_its_input_is_its_own():
+    def broken(pictures: torch.Tensor) -> torch.Tensor:
+        raise RuntimeError("no weights")
+
+    with pytest.raises(RuntimeError, match="no weights"):
+        metrics.ClassLogit(broken, 1, lambda picture: picture)(torch.rand(32, 24, 3))
+
+
+def test_a_network_as_a_metric_is_told_what_prepares_the_picture():
+    metric = TargetedMetric(backbone(torch.float32))
+    with pytest.raises(
+        SceneCaptumError, match=r"image of shape \(32, 24, 3\) .* use metrics\.ClassLogit\(network\)"
+    ):
+        metric.value(torch.rand(32, 24, 3))
+
+
 # --- torchvision ----------------------------------------------------------------------------------
 
 

@@ -34,7 +34,7 @@ OWN_ADVICE = (
 def check_renderer_and_metric(renderer: Renderer, metric: Any) -> None:
     """Raise if either is not callable, is a class, or if they were passed in the wrong order.
 
-    Warn if the metric calls a network in training mode.
+    Warn if the metric refers to a network in training mode.
     """
     for name, value in (("renderer", renderer), ("metric", metric)):
         check_callable(name, value, ": pass a renderer, then a metric")
@@ -88,8 +88,11 @@ class TargetedMetric:
         """Name for tables and figures: ``ClassLogit[cube]``, or ``metric[1]`` if its elements have no names."""
         if self.target is None:
             return self._metric_name
-        known = isinstance(self.target, int) and 0 <= self.target < len(self._classes)
-        element = self._classes[cast(int, self.target)] if known else self.target
+        element = self.target
+        if isinstance(element, int) and element < 0 and (count := getattr(self.metric, "n_classes", 0)):
+            element += count  # known once the metric has been called
+        if isinstance(element, int) and 0 <= element < len(self._classes):
+            element = self._classes[element]
         return f"{self._metric_name}[{element}]"
 
     @property
@@ -156,11 +159,12 @@ class TargetedMetric:
     def describe(self, value: float, image: torch.Tensor) -> dict[str, Any]:
         """Return name, measure and meaning of a value, for the ``info`` of a result."""
         relaxed = getattr(self.metric, "is_relaxed_at", None)
+        verdict = self.verdict(value, image)  # first, as a classifier's verdict finds how many classes it has
         return {
             "metric": self.name,
             "measure": None if self.measure is None else self.measure.describe(),
             "relaxed": relaxed is not None and bool(relaxed(self.transform(image.detach()))),
-            "verdict": self.verdict(value, image),
+            "verdict": verdict,
             "gradient_note": getattr(self.metric, "gradient_note", None),
             "advice": getattr(self.metric, "advice", self._own_advice()),
         }
@@ -317,7 +321,8 @@ class TargetedMetric:
         if not isinstance(output, torch.Tensor):
             raise SceneCaptumError(
                 f"The metric {self.name} must return a torch tensor, not {type(output).__name__}. "
-                "Write it in torch operations, without .item(), float() or numpy."
+                "Write it in torch operations, without .item(), float() or numpy; for a method without gradients, "
+                "such as an ablation, torch.tensor(number) will do."
             )
         if self.target is not None:
             output = self._at_target(output)

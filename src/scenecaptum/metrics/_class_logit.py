@@ -57,7 +57,8 @@ class ClassLogit(ClassifierMetric):
     ------
     SceneCaptumError
         If the target is not one of the classes or is the class ``against``, or the model does not return
-        ``(1, classes)``. From ``forward``, if radiance is negative or not finite.
+        ``(1, classes)``. From ``forward``, if radiance is negative or not finite, or the model cannot take what
+        ``transform`` returns.
 
     Notes
     -----

@@ -10,7 +10,16 @@ import torch
 
 from ..errors import SceneCaptumError
 from ..visualization import rounded
-from ._classes import check_class, check_names, class_index, class_name, class_names, named_class
+from ._classes import (
+    check_class,
+    check_names,
+    class_index,
+    class_name,
+    class_names,
+    from_start,
+    named_class,
+    warn_of_probabilities,
+)
 from ._measure import Measure
 from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
 from ._noise import without_smoothing
@@ -35,6 +44,7 @@ class ClassifierMetric(NetworkMetric):
         super().__init__(model, transform, ResizeCropNormalize(), exposure, smoothing)
         self.classes = class_names(model, classes)
         self.target = None if target is None else class_index(target, self.classes)
+        self.n_classes = len(self.classes)  # 0 until the network has been called, if they have no names
 
     @abstractmethod
     def values(self, logits: torch.Tensor) -> torch.Tensor:
@@ -58,6 +68,8 @@ class ClassifierMetric(NetworkMetric):
         if not isinstance(logits, torch.Tensor) or logits.ndim != 2 or len(logits) != len(images):
             raise SceneCaptumError(_not_logits(self.model, logits))
         check_names(self.classes, logits.shape[1], self.model)
+        warn_of_probabilities(logits, self.model)
+        self.n_classes = logits.shape[1]
         return logits
 
     def target_index(self, name: str) -> int:
@@ -66,7 +78,7 @@ class ClassifierMetric(NetworkMetric):
 
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
         """Return what an element of the output measures."""
-        return self.named_measure(self.class_measure(_first(target)))
+        return self.named_measure(self.class_measure(from_start(_first(target), self.n_classes)))
 
     @property
     def measure(self) -> Measure:
@@ -81,9 +93,8 @@ class ClassifierMetric(NetworkMetric):
         index = self.target if self.target is not None else _first(target)
         with torch.no_grad():
             logits = self.logits(image[None]).double()
-        if index is None:
+        if (index := from_start(index, logits.shape[1])) is None:
             return ""
-        index %= logits.shape[1]  # an index from the end is negative
         text = self._probabilities(logits[0].softmax(0), index)
         return text if self.noise is None else without_smoothing(self.values(logits)[0, index].item(), text)
 

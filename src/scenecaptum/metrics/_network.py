@@ -13,7 +13,7 @@ import torch
 from ..errors import SceneCaptumError
 from ..images import check_image_shape
 from ..training_mode import warn_of_training_mode
-from ._frozen import run_frozen
+from ._frozen import run_frozen, run_transform
 from ._measure import Measure
 from ._noise import PLAIN_TOLERANCE, ROUGH, PictureNoise, smoothed_measure
 from ._picture import check_exposure, srgb_picture
@@ -96,7 +96,7 @@ class NetworkMetric(torch.nn.Module, ABC):
         """Return what the network gets for images ``(N, H, W, 3)``."""
         if self._is_default and isinstance(self.transform, ResizeCropNormalize):
             _warn_of_enlarging(self.transform, *images.shape[1:3])
-        return self.transform(srgb_picture(images, self.exposure))
+        return run_transform(self.transform, srgb_picture(images, self.exposure))
 
     def output(self, images: torch.Tensor) -> Any:
         """Return what the network returns for images ``(N, H, W, 3)``."""

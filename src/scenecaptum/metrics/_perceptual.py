@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from ..errors import SceneCaptumError, near_misses
-from ._frozen import run_frozen
+from ._frozen import run_frozen, run_transform
 from ._measure import Measure
 from ._noise import ROUGH
 from ._picture import check_exposure, check_reference, check_same_shape, srgb_picture
@@ -94,7 +94,7 @@ class PerceptualDistance(torch.nn.Module):
 
     def features(self, image: torch.Tensor) -> list[torch.Tensor]:
         """Return each layer's features of an ``(H, W, 3)`` image, ``(1, channels, …)``."""
-        x = self.transform(srgb_picture(image, self.exposure))
+        x = run_transform(self.transform, srgb_picture(image, self.exposure))
         if self.layers is None:
             return _check_features(run_frozen(self.backbone, x))
         features: dict[str, torch.Tensor] = {}

@@ -10,7 +10,16 @@ import torch
 from ..errors import SceneCaptumError
 from ..visualization import rounded
 from ._checks import cast_like
-from ._classes import check_class, check_names, class_index, class_name, class_names, named_class
+from ._classes import (
+    check_class,
+    check_names,
+    class_index,
+    class_name,
+    class_names,
+    from_start,
+    named_class,
+    warn_of_probabilities,
+)
 from ._mask import check_mask, check_mask_fits, mask_in_input
 from ._measure import Measure
 from ._network import Model, NetworkMetric, Transform, describe_output, wrap_it
@@ -84,6 +93,7 @@ class SegmentationScore(NetworkMetric):
         self.score = score
         self.classes = class_names(model, classes)
         self.target = None if target is None else class_index(target, self.classes)
+        self.n_classes = len(self.classes)  # 0 until the network has been called, if they have no names
         self.register_buffer("mask", check_mask(mask))
 
     def of_batch(self, images: torch.Tensor) -> torch.Tensor:
@@ -109,6 +119,8 @@ class SegmentationScore(NetworkMetric):
                 f"'out'; {name} returned {describe_output(output)}. {wrap_it(output, 4, 'them', 'logits')}"
             )
         check_names(self.classes, logits.shape[1], self.model)
+        warn_of_probabilities(logits, self.model)
+        self.n_classes = logits.shape[1]
         return cast_like(logits, images)
 
     def _weight(self, images: torch.Tensor, logits: torch.Tensor) -> torch.Tensor:
@@ -124,7 +136,7 @@ class SegmentationScore(NetworkMetric):
 
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure:
         """Return what an element of the output measures."""
-        index = target[0] if isinstance(target, tuple) else target
+        index = from_start(target[0] if isinstance(target, tuple) else target, self.n_classes)
         score = self.score.replace("_", " ")
         return self.named_measure(f"mean {score} of {class_name(index, self.classes)} on the mask")
 
@@ -144,6 +156,7 @@ class SegmentationScore(NetworkMetric):
         with torch.no_grad():
             logits, value = self.logits(image[None]), self.of_batch(image[None])[0]
             weight = self._weight(image[None], logits)
+        index = index % logits.shape[1]  # an index from the end is negative
         shares = torch.bincount(
             logits.argmax(1).flatten(), weight.flatten().double(), minlength=logits.shape[1]
         )

@@ -131,6 +131,11 @@ class Smoothed(torch.nn.Module):
         found: tuple[str, ...] = getattr(self.metric, "classes", ())
         return found
 
+    @property
+    def n_classes(self) -> int:
+        """The number of the metric's classes; 0 if it has none, or it is not known yet."""
+        return int(getattr(self.metric, "n_classes", 0))
+
     def measure_of(self, target: int | tuple[int, ...] | None) -> Measure | None:
         """Return what an element of the output measures."""
         of_element = getattr(self.metric, "measure_of", None)

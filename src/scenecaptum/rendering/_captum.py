@@ -112,7 +112,8 @@ def _evaluate(metric: Callable[[torch.Tensor], torch.Tensor], image: torch.Tenso
     if not isinstance(output, torch.Tensor):
         raise SceneCaptumError(
             f"The metric {called} must return a torch tensor, not {type(output).__name__}. Write it in torch "
-            "operations, without .item(), float() or numpy."
+            "operations, without .item(), float() or numpy; for a method of Captum without gradients, such as "
+            "FeatureAblation, torch.tensor(number) will do."
         )
     if output.ndim > 1 or output.numel() == 0:
         raise SceneCaptumError(
