@@ -36,7 +36,7 @@ def bulbs(mi: Any) -> dict[str, Any]:
         "behind_a_pane": bulb(0.001, 1.4, 0.0),
         "pane": {
             "type": "rectangle",
-            "to_world": transform.translate([1.4, 0.2, 1.0]).scale(0.2),
+            "to_world": transform.translate([1.05, 0.15, 1.0]).scale(0.1),
             "bsdf": {"type": "thindielectric"},
         },
     }

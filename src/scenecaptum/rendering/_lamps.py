@@ -15,9 +15,9 @@ from ..camera import Camera
 from ._backward import one_for_each
 from ._registry import shape_index
 from ._small_lamp import SmallLamp
-from ._visibility import follow_specular
+from ._visibility import RAYS, follow_specular
 
-_SIDE = 4  # of the grid of points on a lamp
+_SIDE = 4  # of the grid of points on a lamp, which has as many as a pixel has rays
 _HALF_DIAGONAL = 0.75  # of a pixel, in square roots of its solid angle
 
 
@@ -87,7 +87,8 @@ def _trace(scene: Any, origin: NDArray[Any], towards: NDArray[Any]) -> tuple[NDA
     with dr.suspend_grad():
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(towards.T))
         hit = scene.ray_intersect_preliminary(ray)
-        ray, hit = follow_specular(scene, ray, hit, index, dr.zeros(mi.UInt32, len(towards)))
+        # Of the points of a lamp behind a pane, as many rays are reflected as of the points in a pixel.
+        ray, hit = follow_specular(scene, ray, hit, index // RAYS, index % RAYS)
         si = hit.compute_surface_interaction(ray)
         shape = dr.reinterpret_array(mi.UInt32, si.shape)
         radiance = si.emitter(scene).eval(si)
