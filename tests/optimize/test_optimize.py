@@ -19,6 +19,7 @@ from scenecaptum.explanation import explain
 from scenecaptum.optimize import Search, SearchOptions
 from scenecaptum.optimize._adam import BoundedAdam
 from scenecaptum.optimize._bounds import LIGHTEST, first_of_each_light
+from scenecaptum.optimize._result import Moved, changed_fraction
 
 
 class Lamps:
@@ -267,6 +268,37 @@ def test_a_lamp_is_dimmed_and_keeps_its_color(mi: Any) -> None:
     limits = {name: (5.0, 25.0)}
     tinted = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, steps=3, limits=limits, seed=shifted())
     assert (tinted.values[name] - before).diff().abs().max() < 1e-4  # by steps of the same length
+    (moved,) = tinted.moved
+    weights = torch.tensor([0.2126, 0.7152, 0.0722])
+    less = 1 - (tinted.values[name] @ weights / (before @ weights)).item()
+    assert moved.fraction == pytest.approx(less, rel=1e-3)
+    assert moved.extent == f"{100 * moved.fraction:.0f} % less"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "whole", "extent"),
+    [
+        ([25.0, 22.0, 18.0], [50.6, 47.6, 43.6], "light", "115 % more"),  # in red, 102 %
+        ([25.0, 22.0, 18.0], [20.0, 22.0, 20.0], "light", "20 % of its value"),
+        ([25.0, 22.0, 18.0], [0.0, 0.0, 0.0], "light", "switched off"),
+        ([0.0, 0.0, 0.0], [1.24, 1.24, 1.24], "light", "switched on"),
+        ([8.0], [4.0], "light", "50 % less"),
+        ([8.0], [4.0], "value", "50 % of its value"),
+        ([8.0], [4.0], "range", "50 % of its range"),
+    ],
+)
+def test_a_change_is_put_in_the_words_of_what_changes(
+    before: list[float], after: list[float], whole: Any, extent: str
+) -> None:
+    old, new = torch.tensor(before), torch.tensor(after)
+    fraction = changed_fraction(old, new, torch.tensor(8.0), whole)
+    assert Moved("lamp", "lamp", old, new, fraction, whole).extent == extent
+
+
+def test_a_change_of_an_unbounded_value_is_a_fraction_of_the_value() -> None:
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
+    extents = {moved.name: moved.extent for moved in found.moved}
+    assert extents == dict.fromkeys(("strong", "faint"), "20 % of its range") | {"weak": "20 % of its value"}
 
 
 def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -36,7 +37,7 @@ from ..protocols import Capabilities, Renderer
 from ..visualization import first_few, jump_notes
 from ._adam import BoundedAdam
 from ._bounds import Limit, brought_inside, chosen_limits, construction, first_of_each_light, lamps
-from ._result import Measured, Moved, Optimization
+from ._result import Measured, Moved, Optimization, Whole, changed_fraction
 
 BISECTIONS = 3  # of the last step
 CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
@@ -244,7 +245,7 @@ class Search:
             note = f"at the limit of their change or range: {', '.join(labels[one] for one in stopped)}"
         return Optimization(
             values=optimized(),
-            moved=self._moved(optimized(), {**start, **brought}, limits),
+            moved=self._moved(optimized(), {**start, **brought}),
             before=self._before,
             after=after,
             history=tuple(history),
@@ -255,23 +256,22 @@ class Search:
             shows_a_view=Capabilities(self._renderer).shows_a_view is not False,
         )
 
-    def _moved(
-        self, values: Mapping[str, torch.Tensor], names: Iterable[str], limits: Collection[str]
-    ) -> tuple[Moved, ...]:
+    def _moved(self, values: Mapping[str, torch.Tensor], names: Iterable[str]) -> tuple[Moved, ...]:
         """Return the initial and final value of each of these that has moved: others were at a bound."""
         initial = {
             name: self._values[name] for name in names if not torch.equal(self._values[name], values[name])
         }
         before, after = summarize(initial), summarize({name: values[name] for name in initial})
-        lengths, dimmed = range_lengths(self._renderer, initial), lamps(self._renderer) - set(limits)
+        lengths, lights = range_lengths(self._renderer, initial), lamps(self._renderer)
+        ranges = Capabilities(self._renderer).ranges or Capabilities(self._renderer).bounds or {}
         labels = self._ranked.labels
 
         def moved(name: str) -> Moved:
-            is_dimmed = name in dimmed
-            whole = before[name].abs().max() if is_dimmed and before[name].any() else lengths[name]
+            low, high = ranges.get(name, (-math.inf, math.inf))
+            whole: Whole = "light" if name in lights else "range" if math.isfinite(high - low) else "value"
             # Not of the offsets, which go on where a value or a texel has reached its bound.
-            fraction = (after[name] - before[name]).abs().max().item() / whole.item()
-            return Moved(name, labels.get(name, name), before[name], after[name], fraction, is_dimmed)
+            fraction = changed_fraction(before[name], after[name], lengths[name], whole)
+            return Moved(name, labels.get(name, name), before[name], after[name], fraction, whole)
 
         return tuple(map(moved, initial))
 

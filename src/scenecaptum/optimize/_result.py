@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import torch
 
 from ..denoising import denoise
+from ..images import LUMINANCE_WEIGHTS
 from ..scene import with_unit
 from ..visualization import (
     RAISES,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 _NAME_WIDTH = 36
+Whole: TypeAlias = Literal["range", "value", "light"]  # of a change that is a fraction
 
 
 @dataclass(frozen=True)
@@ -77,10 +79,11 @@ class Moved:
     before, after
         Its values; for a texture, the mean over the texels.
     fraction
-        The change as a fraction of its range, of a texture that of its mean; for a colour, that of the channel
-        that changed most.
-    is_dimmed
-        Whether it is the light of a lamp or sky, and the fraction one of its own value.
+        The change as a fraction of its range or value, of a texture that of its mean; for a colour, that of the
+        channel that changed most, and for a light that changed in one direction, that of its luminance.
+    whole
+        What that is a fraction of: its ``"range"``, its ``"value"`` where the range is infinite, or the
+        ``"light"`` of a lamp or sky.
     """
 
     name: str
@@ -88,15 +91,37 @@ class Moved:
     before: torch.Tensor
     after: torch.Tensor
     fraction: float
-    is_dimmed: bool = False
+    whole: Whole = "range"
 
     @property
     def extent(self) -> str:
-        """How far it was changed: ``"31 % of its range"``, or ``"31 % less"`` light."""
-        percent = f"{100 * self.fraction:.0f} %"
-        if not self.is_dimmed:
-            return f"{percent} of its range"
-        return f"{percent} {'less' if bool((self.after <= self.before).all()) else 'more'}"
+        """How far it was changed: ``"31 % of its range"``, ``"31 % less"`` light, or ``"switched on"``."""
+        percent, is_light = f"{100 * self.fraction:.0f} %", self.whole == "light"
+        if is_light and not self.before.any():
+            return "switched on"
+        if is_light and not self.after.any():
+            return "switched off"
+        if is_light and bool((self.after <= self.before).all()):
+            return f"{percent} less"
+        if is_light and bool((self.after >= self.before).all()):
+            return f"{percent} more"
+        return f"{percent} of its {'range' if self.whole == 'range' else 'value'}"
+
+
+def changed_fraction(before: torch.Tensor, after: torch.Tensor, length: torch.Tensor, whole: Whole) -> float:
+    """Return a change as a fraction of a length, or of a light; with limits, a light may change its colour."""
+    change = after - before
+    if whole == "light" and bool(before.any()):
+        if bool((change <= 0).all() or (change >= 0).all()):
+            return abs(_amount(change) / _amount(before))
+        length = before.abs().max()
+    return change.abs().max().item() / length.item()
+
+
+def _amount(light: torch.Tensor) -> float:
+    """Return the luminance of a light with three channels, otherwise the sum of its channels."""
+    weights = LUMINANCE_WEIGHTS if light.numel() == len(LUMINANCE_WEIGHTS) else [1.0] * light.numel()
+    return (light.double().flatten() @ light.new_tensor(weights).double()).item()
 
 
 @dataclass(frozen=True, repr=False)
