@@ -275,6 +275,35 @@ def test_a_lamp_is_dimmed_and_keeps_its_color(mi: Any) -> None:
     assert moved.extent == f"{100 * moved.fraction:.0f} % less"
 
 
+SKY = "sky.emitter.radiance.value"
+
+
+def darkness(image: torch.Tensor) -> torch.Tensor:
+    return -image.mean()
+
+
+def test_a_light_that_is_off_stays_off_unless_it_has_limits(mi: Any) -> None:
+    """The more light, the nearer the goal, and the sky would bring most."""
+    renderer = SceneRenderer("office", "emitters", resolution=(16, 9), spp=64, max_depth=3)
+    evening = {**renderer.inputs, SKY: torch.zeros(3)}
+    goal = 1.2 * darkness(renderer(evening, seed=shifted())).item()
+    found, lit = (
+        optimize.minimize(renderer, darkness, goal, inputs=evening, limits=limits, steps=12, seed=shifted())
+        for limits in ({}, {SKY: (0.0, 5.0)})
+    )
+    assert found.reached
+    assert found.moved
+    assert not found.values[SKY].any()
+    assert lit.reached
+    assert {moved.name: moved.extent for moved in lit.moved}[SKY] == "switched on"
+
+
+def test_lights_that_are_all_off_are_named(mi: Any) -> None:
+    renderer = SceneRenderer("office", SKY, resolution=(16, 9), spp=16, max_depth=3)
+    with pytest.raises(SceneCaptumError, match=f"are off, .*: {SKY}. Start with them on, add other inputs"):
+        optimize.minimize(renderer, darkness, -1e3, inputs={SKY: torch.zeros(3)}, seed=shifted())
+
+
 @pytest.mark.parametrize(
     ("before", "after", "whole", "extent"),
     [
@@ -304,9 +333,6 @@ def test_a_change_of_an_unbounded_value_is_a_fraction_of_the_value() -> None:
 def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:
     floor, wall = "floor.reflectance.value", "left_wall.reflectance.value"
     renderer = SceneRenderer("cornell-box", [floor, wall], resolution=(8, 8), spp=16, max_depth=3)
-
-    def darkness(image: torch.Tensor) -> torch.Tensor:
-        return -image.mean()
 
     start = {**renderer.inputs, floor: torch.tensor([0.95, 0.8, 0.8])}
     found = optimize.minimize(renderer, darkness, -1e3, inputs=start, change=1.0, seed=shifted())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -84,9 +84,10 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
     Parameters are ranked by their effects over their ranges. All but the top ones are kept constant, and so are
-    those whose effects are within two standard errors, and the cones of spots. A colour changes per channel, a
-    texture by one offset per channel for all texels; a lamp or a sky is dimmed, and keeps its colour; no
-    reflectance is raised above 0.85, that of white paint. Every step renders with a new seed. The goal counts as
+    those whose effects are within two standard errors, and the cones of spots. A lamp or a sky that is off stays
+    off unless ``limits`` names it. A colour changes per channel, a texture by one offset per channel for all
+    texels; a lamp or a sky is dimmed, and keeps its colour; no reflectance is raised above 0.85, that of white
+    paint. Every step renders with a new seed. The goal counts as
     reached once a measurement with independent samples confirms it; the last step is then shortened as far as the
     goal allows. A scene that is below the goal already, and within its limits, is kept.
 
@@ -209,7 +210,7 @@ class Search:
         unit = str(measure.get("unit") or "")
         if self._before.is_below(below) and not brought:
             return Optimization(dict(self._values), (), self._before, self._before, (), below, name, unit)
-        rows = self._movable(options.top)
+        rows = self._movable(options.top, limits)
         if not rows:
             raise SceneCaptumError(self._nothing_moves(name))
         inside = self._values | brought
@@ -297,15 +298,26 @@ class Search:
         chosen = chosen_limits(self._values, limits)
         return {name: limit for name, limit in chosen.items() if name not in self._fixed}
 
-    def _movable(self, count: int) -> list[Ranked]:
+    def _movable(self, count: int, limits: Collection[str]) -> list[Ranked]:
         """Return the parameters with the largest effects that may be changed."""
-        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in self._fixed]
+        # A design for the evening must not need the sky: only limits say that a light may be switched on.
+        kept = self._fixed | (self._off() - set(limits))
+        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in kept]
         # Those in the noise would move in either direction; they only count where nothing is clear of it.
         clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
         return first_of_each_light(clear or movable)[:count]
 
+    def _off(self) -> set[str]:
+        """Return the lights that are off."""
+        return {name for name in lamps(self._renderer) & self._values.keys() if not self._values[name].any()}
+
     def _nothing_moves(self, metric: str) -> str:
         kept = [row.label for row in self._ranked.ranking() if any(row.total)]
+        if off := [row.name for row in self._ranked.ranking() if any(row.total) and row.name in self._off()]:
+            return (
+                f"All lights here that affect {metric} are off, and a search keeps them off: {first_few(off)}. "
+                "Start with them on, add other inputs, or name them in limits= of minimize."
+            )
         if not kept and (jumps := jump_notes(self._ranked)):
             return f"No parameter has a derivative: {first_few([note.lstrip('– ') for note in jumps], '; ')}."
         if not kept:
