@@ -152,8 +152,34 @@ def test_where_nothing_can_move_there_is_no_table():
     found = optimize.minimize(lamps, torch.mean, -1.0, steps=2)
     assert not found.moved
     assert not found.was_below
-    assert str(found).endswith("not below the goal of -1")
+    assert "not below the goal of -1; the search found no lower value" in str(found)
     assert "changed" not in str(found)
+
+
+def steep(width: float) -> Any:
+    """Return a metric with a valley that is narrower than a step: beyond it the metric is higher than before."""
+
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        offset = image.mean() - 0.79
+        return torch.where(offset > 0, offset, -width * offset)
+
+    return metric
+
+
+@pytest.mark.parametrize(("width", "steps"), [(100.0, 1), (3.0, 2)])
+def test_a_search_that_misses_its_goal_is_never_worse_than_the_start(width: float, steps: int) -> None:
+    lamps, metric = Lamps(noise=0.0), steep(width)
+    ends = [optimize.minimize(lamps, metric, -1.0, top=1, steps=count) for count in range(1, steps + 12)]
+    start = metric(lamps(lamps.inputs, seed=0, spp=1)).item()
+    for found in ends:
+        assert found.before.value == pytest.approx(start)
+        assert found.after.value == pytest.approx(metric(lamps(found.values, seed=0, spp=1)).item())
+        # The value of every step is that of a design that was rendered.
+        assert found.after.value <= min(found.history) + 1e-6
+    assert ends[0].after.value == start
+    assert not ends[0].moved
+    assert all(torch.equal(ends[0].values[name], value) for name, value in lamps.inputs.items())
+    assert str(ends[0]).endswith("not below the goal of -1; the search found no lower value")
 
 
 def test_the_path_depends_on_the_seed_only():

@@ -35,7 +35,7 @@ from ..estimation import (
 )
 from ..protocols import Capabilities, Renderer
 from ..visualization import first_few, jump_notes
-from ._adam import BoundedAdam
+from ._adam import BoundedAdam, Offsets
 from ._bounds import Limit, brought_inside, chosen_limits, construction, first_of_each_light, lamps
 from ._result import Measured, Moved, Optimization, Whole, changed_fraction
 
@@ -87,9 +87,10 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     those whose effects are within two standard errors, and the cones of spots. A lamp or a sky that is off stays
     off unless ``limits`` names it. A colour changes per channel, a texture by one offset per channel for all
     texels; a lamp or a sky is dimmed, and keeps its colour; no reflectance is raised above 0.85, that of white
-    paint. Every step renders with a new seed. The goal counts as
-    reached once a measurement with independent samples confirms it; the last step is then shortened as far as the
-    goal allows. A scene that is below the goal already, and within its limits, is kept.
+    paint. Every step renders with a new seed. The goal counts as reached once a measurement with independent
+    samples confirms it; the last step is then shortened as far as the goal allows. A search that misses the goal
+    returns the best of its steps, or the start if none is lower. A scene that is below the goal already, and
+    within its limits, is kept.
 
     Example
     -------
@@ -223,6 +224,7 @@ class Search:
 
         history: list[float] = []
         after = None
+        unmoved = lowest = optimizer.offsets()
         _, _, *seeds = derived_seeds(self._seed, Stream.OPTIMIZATION, 2 + options.steps)
         for seed in tqdm(seeds, disable=not show_progress, desc=name, unit="step"):
             current = {**inside, **optimizer.values()}
@@ -230,6 +232,7 @@ class Search:
             metric = at_values(self._transformed, self._renderer, current)
             value, adjoint = metric.value_and_adjoint(image)
             history.append(value)
+            lowest = optimizer.offsets() if value == min(history) else lowest
             # A step's value is biased low, since the optimizer fits its noise: check with independent samples.
             exact = metric.by_definition()
             seems_below = value < below and (exact is None or exact.value(image.detach()) < below)
@@ -238,7 +241,8 @@ class Search:
                 break
             optimizer.step(image, adjoint)
         if after is None:
-            after = self._measure(optimized())
+            first = self._measure(inside) if brought else self._before
+            after = _best(optimizer, lambda: self._measure(optimized()), (first, unmoved), lowest)
         rates_picture = self._ranked.surfaces is not None and measure.get("limits")
         labels = {row.name: row.label for row in rows}
         note = NOISE_ONLY if rates_picture and after.is_below(below) else ""
@@ -338,6 +342,22 @@ class Search:
             return Measured(value, error, pictures.mean(0))
         exact, exact_error = stated
         return Measured(exact, exact_error or 0.0, pictures.mean(0), value, error)
+
+
+def _best(
+    optimizer: BoundedAdam, measure: Callable[[], Measured], start: tuple[Measured, Offsets], lowest: Offsets
+) -> Measured:
+    """Go to the best of the start, the step with the lowest value and the last one; return what it measures.
+
+    All three are measured with the same samples, which are not those that the step has its low value from.
+    """
+    designs = [start]
+    for offsets in (lowest, optimizer.offsets()):
+        optimizer.go_to(offsets)
+        designs.append((measure(), offsets))
+    best, offsets = min(designs, key=lambda design: design[0].order)
+    optimizer.go_to(offsets)
+    return best
 
 
 def _shortened(

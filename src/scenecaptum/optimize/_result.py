@@ -60,6 +60,11 @@ class Measured:
     relaxed: float | None = None
     relaxed_error: float = 0.0
 
+    @property
+    def order(self) -> tuple[float, float]:
+        """What designs are compared by: the metric, and where that counts points or sources, the relaxed one."""
+        return self.value, self.relaxed or 0.0
+
     def is_below(self, goal: float) -> bool:
         """Whether the metric is below a goal by two standard errors, relaxed and by its definition."""
         pairs = [(self.value, self.error)]
@@ -175,7 +180,8 @@ class Optimization:
         """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given.
 
         The points of a sensor grid are no picture, and only the steps are plotted.
-        The last point is the value that was measured apart from the steps, of a relaxed metric by its definition.
+        The last point is the value that was measured apart from the steps, of a relaxed metric by its definition;
+        if the goal was missed, that of the best step.
         """
         height, width, _ = self.before.image.shape
         renders, curve = WIDTH / 2 * height / width if self.shows_a_view else 0.0, 1.6
@@ -226,10 +232,8 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        if not self.moved:
-            return self.outcome
-        end = filter(None, [self.outcome, self.note])
-        return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", *end])
+        table = [*grid(("changed", "before", "after", "by"), cells), ""] if self.moved else []
+        return "\n".join([*table, *filter(None, [self.outcome, self.note])])
 
     __repr__ = __str__
 
@@ -245,6 +249,8 @@ class Optimization:
             outcome = f"below {goal}, but not by two standard errors: use more samples"
         else:
             outcome = f"not below {goal}"
+        if not self.moved:
+            return f"{self.metric} {self._format(self.before)}, {outcome}; the search found no lower value"
         return f"{self.metric} {self._format(self.before)} → {self._format(self.after)}, {outcome}"
 
     def _format(self, measured: Measured) -> str:
