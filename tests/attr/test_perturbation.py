@@ -1,6 +1,8 @@
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping
 
 import captum.attr
@@ -802,3 +804,12 @@ def test_default_patches_are_eight_by_eight():
     one = OcclusionScene(bent, log_mean).attribute({"large": large}, spp=8)
     assert one.info["budget"]["arms"] == 1 + 6 * 8  # 17 texels are six patches of 3
     assert torch.equal(one["large"][0, 0], one["large"][2, 3])
+
+
+def test_the_advised_groups_of_a_colour_work_with_a_renderer_of_ones_own() -> None:
+    """It has no table and no surfaces, by which objects are grouped."""
+    method = FeatureAblationScene(ToyRenderer(), torch.mean)
+    (advice,) = re.findall(r"each alone: groups=(\{.*?\})", " ".join(str(method.attribute()).split()))
+    together = method.attribute(groups=json.loads(advice))
+    assert [row.name for row in together.ranking()] == ["x"]
+    assert "each alone" not in str(together)

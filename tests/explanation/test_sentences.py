@@ -571,11 +571,25 @@ def test_lines_of_text_do_not_break_inside_a_number():
 
 
 def test_the_note_on_a_goal_stands_below_its_line():
+    moved = SimpleNamespace(
+        name="sky", label="sky: radiance", before=torch.zeros(3), after=torch.ones(3), extent="switched on"
+    )
     goal = SimpleNamespace(
-        moved=(), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True, was_below=False
+        moved=(moved,), outcome="UGR 25 → 18, below 19", note="rate it again", reached=True, was_below=False
     )
     said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What reaches the goal"]
-    assert said == ["UGR 25 → 18, below 19, in other renders", "rate it again"]
+    assert said == [
+        "sky radiance 0 → 1: switched on",
+        "UGR 25 → 18, below 19, in other renders",
+        "rate it again",
+    ]
+
+
+def test_of_a_search_that_found_nothing_the_start_is_stated():
+    outcome = "UGR 25, not below 19; the search found no lower value"
+    goal = SimpleNamespace(moved=(), outcome=outcome, note="", reached=False, was_below=False)
+    said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What was tried to reach the goal"]
+    assert said == [outcome]
 
 
 def test_without_error_bars_it_says_so():

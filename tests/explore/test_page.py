@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,12 @@ import pytest
 from chance import allowed, together
 from seeds import shifted
 
-from scenecaptum import SceneRenderer, cli, metrics
+from scenecaptum import SceneRenderer, cli, explore, metrics
 from scenecaptum.attr import Explanation
 from scenecaptum.explanation import definition_of
 from scenecaptum.explore import Exploration, Server
 from scenecaptum.metrics import Band, Measure
-from scenecaptum.visualization import automatic_exposure, display_image, format_with_error
+from scenecaptum.visualization import automatic_exposure, display_image, format_with_error, signed_with_error
 
 from .windows import REPLICATES, Window, last_render, number, run, served, wait_for
 
@@ -334,6 +335,19 @@ def test_the_design_as_a_command_gives_the_same_metric(window, capsys, tmp_path)
         metric = json.loads(text)["metric"]
         errors = together(metric["standard_error"], one["error"])
         assert abs(metric["value"] - one["value"]) < allowed(REPLICATES, len(described)) * errors
+
+
+def test_no_number_is_a_negative_zero(window):
+    code = (Path(explore.__file__).parent / "page" / "explore.js").read_text(encoding="utf-8")
+    functions = code[code.index("const minus") : code.index("const short")]
+    numbers = [(-0.01, 1.6), (0.01, 1.6), (-1.2, 1.6), (-1e-9, 1000.0), (-0.07, 0.6)]
+    write = "([value, error]) => withError(value, error, true)"
+    written = window.page.evaluate(
+        f"numbers => {{ {functions} return numbers.map({write}); }}",
+        numbers,
+    )
+    assert written == [signed_with_error(*one) for one in numbers]
+    assert written[0] == "0.0 ± 1.6"
 
 
 def test_a_new_start_is_taken(window):

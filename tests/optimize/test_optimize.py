@@ -19,6 +19,7 @@ from scenecaptum.explanation import explain
 from scenecaptum.optimize import Search, SearchOptions
 from scenecaptum.optimize._adam import BoundedAdam
 from scenecaptum.optimize._bounds import LIGHTEST, first_of_each_light
+from scenecaptum.optimize._result import Moved, changed_fraction
 
 
 class Lamps:
@@ -151,8 +152,34 @@ def test_where_nothing_can_move_there_is_no_table():
     found = optimize.minimize(lamps, torch.mean, -1.0, steps=2)
     assert not found.moved
     assert not found.was_below
-    assert str(found).endswith("not below the goal of -1")
+    assert "not below the goal of -1; the search found no lower value" in str(found)
     assert "changed" not in str(found)
+
+
+def steep(width: float) -> Any:
+    """Return a metric with a valley that is narrower than a step: beyond it the metric is higher than before."""
+
+    def metric(image: torch.Tensor) -> torch.Tensor:
+        offset = image.mean() - 0.79
+        return torch.where(offset > 0, offset, -width * offset)
+
+    return metric
+
+
+@pytest.mark.parametrize(("width", "steps"), [(100.0, 1), (3.0, 2)])
+def test_a_search_that_misses_its_goal_is_never_worse_than_the_start(width: float, steps: int) -> None:
+    lamps, metric = Lamps(noise=0.0), steep(width)
+    ends = [optimize.minimize(lamps, metric, -1.0, top=1, steps=count) for count in range(1, steps + 12)]
+    start = metric(lamps(lamps.inputs, seed=0, spp=1)).item()
+    for found in ends:
+        assert found.before.value == pytest.approx(start)
+        assert found.after.value == pytest.approx(metric(lamps(found.values, seed=0, spp=1)).item())
+        # The value of every step is that of a design that was rendered.
+        assert found.after.value <= min(found.history) + 1e-6
+    assert ends[0].after.value == start
+    assert not ends[0].moved
+    assert all(torch.equal(ends[0].values[name], value) for name, value in lamps.inputs.items())
+    assert str(ends[0]).endswith("not below the goal of -1; the search found no lower value")
 
 
 def test_the_path_depends_on_the_seed_only():
@@ -267,14 +294,71 @@ def test_a_lamp_is_dimmed_and_keeps_its_color(mi: Any) -> None:
     limits = {name: (5.0, 25.0)}
     tinted = optimize.minimize(renderer, metrics.MeanLuminance(), 0.0, steps=3, limits=limits, seed=shifted())
     assert (tinted.values[name] - before).diff().abs().max() < 1e-4  # by steps of the same length
+    (moved,) = tinted.moved
+    weights = torch.tensor([0.2126, 0.7152, 0.0722])
+    less = 1 - (tinted.values[name] @ weights / (before @ weights)).item()
+    assert moved.fraction == pytest.approx(less, rel=1e-3)
+    assert moved.extent == f"{100 * moved.fraction:.0f} % less"
+
+
+SKY = "sky.emitter.radiance.value"
+
+
+def darkness(image: torch.Tensor) -> torch.Tensor:
+    return -image.mean()
+
+
+def test_a_light_that_is_off_stays_off_unless_it_has_limits(mi: Any) -> None:
+    """The more light, the nearer the goal, and the sky would bring most."""
+    renderer = SceneRenderer("office", "emitters", resolution=(16, 9), spp=64, max_depth=3)
+    evening = {**renderer.inputs, SKY: torch.zeros(3)}
+    goal = 1.2 * darkness(renderer(evening, seed=shifted())).item()
+    found, lit = (
+        optimize.minimize(renderer, darkness, goal, inputs=evening, limits=limits, steps=12, seed=shifted())
+        for limits in ({}, {SKY: (0.0, 5.0)})
+    )
+    assert found.reached
+    assert found.moved
+    assert not found.values[SKY].any()
+    assert lit.reached
+    assert {moved.name: moved.extent for moved in lit.moved}[SKY] == "switched on"
+
+
+def test_lights_that_are_all_off_are_named(mi: Any) -> None:
+    renderer = SceneRenderer("office", SKY, resolution=(16, 9), spp=16, max_depth=3)
+    with pytest.raises(SceneCaptumError, match=f"are off, .*: {SKY}. Start with them on, add other inputs"):
+        optimize.minimize(renderer, darkness, -1e3, inputs={SKY: torch.zeros(3)}, seed=shifted())
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "whole", "extent"),
+    [
+        ([25.0, 22.0, 18.0], [50.6, 47.6, 43.6], "light", "115 % more"),  # in red, 102 %
+        ([25.0, 22.0, 18.0], [20.0, 22.0, 20.0], "light", "20 % of its value"),
+        ([25.0, 22.0, 18.0], [0.0, 0.0, 0.0], "light", "switched off"),
+        ([0.0, 0.0, 0.0], [1.24, 1.24, 1.24], "light", "switched on"),
+        ([8.0], [4.0], "light", "50 % less"),
+        ([8.0], [4.0], "value", "50 % of its value"),
+        ([8.0], [4.0], "range", "50 % of its range"),
+    ],
+)
+def test_a_change_is_put_in_the_words_of_what_changes(
+    before: list[float], after: list[float], whole: Any, extent: str
+) -> None:
+    old, new = torch.tensor(before), torch.tensor(after)
+    fraction = changed_fraction(old, new, torch.tensor(8.0), whole)
+    assert Moved("lamp", "lamp", old, new, fraction, whole).extent == extent
+
+
+def test_a_change_of_an_unbounded_value_is_a_fraction_of_the_value() -> None:
+    found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
+    extents = {moved.name: moved.extent for moved in found.moved}
+    assert extents == dict.fromkeys(("strong", "faint"), "20 % of its range") | {"weak": "20 % of its value"}
 
 
 def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:
     floor, wall = "floor.reflectance.value", "left_wall.reflectance.value"
     renderer = SceneRenderer("cornell-box", [floor, wall], resolution=(8, 8), spp=16, max_depth=3)
-
-    def darkness(image: torch.Tensor) -> torch.Tensor:
-        return -image.mean()
 
     start = {**renderer.inputs, floor: torch.tensor([0.95, 0.8, 0.8])}
     found = optimize.minimize(renderer, darkness, -1e3, inputs=start, change=1.0, seed=shifted())

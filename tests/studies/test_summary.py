@@ -333,6 +333,7 @@ def removed(tmp_path_factory: pytest.TempPathFactory, mi: Any) -> StudyResult:
         "alone": {"method": "ablation"},
         "together": {"method": "ablation", "groups": "kind"},
         "shapley": {"method": "shapley", "groups": "kind"},
+        "sampled": {"method": "shapley"},
     }
     study = Study(
         ["cornell-box"],
@@ -371,6 +372,22 @@ def test_a_sum_of_losses_of_parts_removed_alone_is_called_so(removed: StudyResul
     assert not note(removed.summary(method="together"))
     assert not note(removed.summary({"both": ["reflectance", "emitters"]}, method="shapley")), "they add up"
     assert "each alone (emitters · alone, reflectance · alone): " in note(removed.summary())
+
+
+def test_errors_that_are_sums_of_those_of_shapley_values_are_called_upper_limits(
+    removed: StudyResult,
+) -> None:
+    def note(summary: Summary) -> str:
+        return "".join(one for one in summary.notes() if "upper limit" in one)
+
+    assert note(removed.summary(method="sampled")) == (
+        "of a sum of Shapley values, the noise is an upper limit (reflectance): the sum of the errors of its "
+        "members, whose covariance is not known"
+    )
+    assert not note(removed.summary(None, method="sampled")), "none is a sum"
+    both = {"both": ["reflectance", "emitters"]}
+    for method in ("shapley", "alone"):  # of replicates, from which the covariance is known
+        assert not note(removed.summary(both if method == "shapley" else "kind", method=method))
 
 
 @pytest.mark.parametrize(("patch_texels", "parts"), [(24, 1), (12, 2), (5, 5)])

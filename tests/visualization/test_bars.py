@@ -20,6 +20,7 @@ from scenecaptum.visualization import (
     UNCLEAR,
     color_of,
     display_image,
+    light_notes,
     plot_bars,
     plot_heatmap,
     plot_overlay,
@@ -95,6 +96,9 @@ def test_bars_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_ligh
     figure = plot_bars(lit)
     assert note in " ".join(all_text(figure).split())
     assert outside(figure) == []
+    for seen, groups in ((lit.surfaces, "object"), (None, "material")):
+        (line,) = light_notes(dataclasses.replace(lit, surfaces=seen), lit.ranking())
+        assert f'groups="{groups}"' in line, "a sensor grid has no objects to group by"
     linear = dataclasses.replace(lit, info={**lit.info, "linear_in_light": True})
     for other in (found, linear):
         assert note not in " ".join(all_text(plot_bars(other)).split())

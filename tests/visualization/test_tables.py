@@ -15,6 +15,8 @@ from scenecaptum import SceneAttribution
 from scenecaptum.protocols import ResultKind
 from scenecaptum.visualization import (
     align_decimals,
+    minus,
+    plain_number,
     plot_bars,
     row_cautions,
     shorten,
@@ -591,3 +593,8 @@ def test_a_difference_and_a_sum_name_the_methods_and_samples_of_both_sides() -> 
     assert "VanillaSceneGradient · 64 spp in 8 replicates" in header(first - make(seed=1))
     text = " ".join(all_text(plot_bars(first - second)).split())
     assert both in text
+
+
+def test_a_number_that_rounds_to_zero_has_no_sign() -> None:
+    assert [plain_number(value, "%") for value in (-0.04, -0.06, -0.0, -10.0)] == ["0.0", "−0.1", "0", "−10"]
+    assert [minus(text) for text in ("-0.00", "-0", "-0.01", "-1e-05")] == ["0.00", "0", "−0.01", "−1e−05"]

@@ -352,7 +352,7 @@ class Explanation:
             return []
         return [
             *(f"{step(one)}: {one.extent}" for one in self.goal.moved),
-            self.goal.outcome if self.goal.was_below else f"{self.goal.outcome}, in other renders",
+            f"{self.goal.outcome}, in other renders" if self.goal.moved else self.goal.outcome,
             *([self.goal.note] if self.goal.note else []),
         ]
 

@@ -30,7 +30,7 @@ def add(commands: Any) -> None:
         "optimize",
         help="change the parameters that matter most until a metric is below a goal",
         description="Lower a metric below a goal by changing the parameters with the largest effects within their "
-        "bounds. Exits with 1 if the goal is not reached.",
+        "bounds. A lamp or sky that is off stays off. Exits with 1 if the goal is not reached.",
         epilog="example: scenecaptum optimize office --metric ugr --below 19 --resolution 64x36 --spp 64",
     )
     _arguments.add_scene(parser)

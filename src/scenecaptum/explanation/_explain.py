@@ -167,7 +167,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     premises = photometric_premises(metric, of_value, value, error, shown, renderer)
     if isinstance(metric, GlareRating):
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
-        if goal is not None and not goal.was_below:
+        if goal is not None and goal.moved:
             premises += _threshold_at(goal, scenes, metric, shown)
     return Explanation(
         attribution,
@@ -196,7 +196,10 @@ def _with_caution_of_relaxed(attribution: SceneAttribution) -> SceneAttribution:
 def _reach(below: float, search: Search, *, show_progress: bool) -> Optimization:
     """Search with the leading parameter alone, and with more where that is not enough."""
     alone = search.to(below, SearchOptions(top=1, steps=STEPS_ALONE), show_progress=show_progress)
-    return alone if alone.reached else search.to(below, SearchOptions(), show_progress=show_progress)
+    if alone.reached:
+        return alone
+    more = search.to(below, SearchOptions(), show_progress=show_progress)
+    return more if more.reached else min(more, alone, key=lambda found: found.after.order)
 
 
 def _threshold_at(

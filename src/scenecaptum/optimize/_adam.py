@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeAlias
 
 import torch
 
@@ -12,6 +13,8 @@ from ..estimation import channel_totals
 from ..protocols import Capabilities, Renderer
 from ..scene import clamp_inside
 from ._bounds import BOUND_MARGIN, design_bounds, lamps
+
+Offsets: TypeAlias = "dict[str, torch.Tensor]"
 
 LEARNING_RATE = 0.05  # of Adam: approximate step size as a fraction of a parameter's range or limits
 
@@ -52,7 +55,7 @@ class BoundedAdam:
             name: value.new_zeros(1 if name in self._lamps else channel_totals(value).shape).requires_grad_()
             for name, value in start.items()
         }
-        self._before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
+        self._before = self.offsets()
         self._after = self._before
         self._limits = {
             name: [(limit - value) / self._ranges[name] for limit in limits[name]]
@@ -80,7 +83,7 @@ class BoundedAdam:
         """Take one descent step, given the gradient of the metric with respect to the image."""
         self._adam.zero_grad()
         image.backward(adjoint)
-        self._before = {name: offset.detach().clone() for name, offset in self._offsets.items()}
+        self._before = self.offsets()
         self._adam.step()
         with torch.no_grad():
             for name, offset in self._offsets.items():
@@ -88,7 +91,17 @@ class BoundedAdam:
                 offset.copy_(offset.clamp(low, high))
             for name in self.colliding():
                 self._offsets[name].copy_(self._before[name])
-        self._after = {name: offset.detach().clone() for name, offset in self._offsets.items()}
+        self._after = self.offsets()
+
+    def offsets(self) -> Offsets:
+        """Return a copy of the current offsets."""
+        return {name: offset.detach().clone() for name, offset in self._offsets.items()}
+
+    def go_to(self, offsets: Offsets) -> None:
+        """Go to other offsets."""
+        with torch.no_grad():
+            for name, offset in self._offsets.items():
+                offset.copy_(offsets[name])
 
     def shorten_last_step(self, fraction: float) -> None:
         """Go back to a fraction of the last step."""

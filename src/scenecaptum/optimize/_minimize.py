@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
@@ -34,9 +35,9 @@ from ..estimation import (
 )
 from ..protocols import Capabilities, Renderer
 from ..visualization import first_few, jump_notes
-from ._adam import BoundedAdam
+from ._adam import BoundedAdam, Offsets
 from ._bounds import Limit, brought_inside, chosen_limits, construction, first_of_each_light, lamps
-from ._result import Measured, Moved, Optimization
+from ._result import Measured, Moved, Optimization, Whole, changed_fraction
 
 BISECTIONS = 3  # of the last step
 CLEAR = 2.0  # standard errors beyond which an effect is clear of the noise
@@ -83,11 +84,13 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
     """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
     Parameters are ranked by their effects over their ranges. All but the top ones are kept constant, and so are
-    those whose effects are within two standard errors, and the cones of spots. A colour changes per channel, a
-    texture by one offset per channel for all texels; a lamp or a sky is dimmed, and keeps its colour; no
-    reflectance is raised above 0.85, that of white paint. Every step renders with a new seed. The goal counts as
-    reached once a measurement with independent samples confirms it; the last step is then shortened as far as the
-    goal allows. A scene that is below the goal already, and within its limits, is kept.
+    those whose effects are within two standard errors, and the cones of spots. A lamp or a sky that is off stays
+    off unless ``limits`` names it. A colour changes per channel, a texture by one offset per channel for all
+    texels; a lamp or a sky is dimmed, and keeps its colour; no reflectance is raised above 0.85, that of white
+    paint. Every step renders with a new seed. The goal counts as reached once a measurement with independent
+    samples confirms it; the last step is then shortened as far as the goal allows. A search that misses the goal
+    returns the best of its steps, or the start if none is lower. A scene that is below the goal already, and
+    within its limits, is kept.
 
     Example
     -------
@@ -208,7 +211,7 @@ class Search:
         unit = str(measure.get("unit") or "")
         if self._before.is_below(below) and not brought:
             return Optimization(dict(self._values), (), self._before, self._before, (), below, name, unit)
-        rows = self._movable(options.top)
+        rows = self._movable(options.top, limits)
         if not rows:
             raise SceneCaptumError(self._nothing_moves(name))
         inside = self._values | brought
@@ -221,6 +224,7 @@ class Search:
 
         history: list[float] = []
         after = None
+        unmoved = lowest = optimizer.offsets()
         _, _, *seeds = derived_seeds(self._seed, Stream.OPTIMIZATION, 2 + options.steps)
         for seed in tqdm(seeds, disable=not show_progress, desc=name, unit="step"):
             current = {**inside, **optimizer.values()}
@@ -228,6 +232,7 @@ class Search:
             metric = at_values(self._transformed, self._renderer, current)
             value, adjoint = metric.value_and_adjoint(image)
             history.append(value)
+            lowest = optimizer.offsets() if value == min(history) else lowest
             # A step's value is biased low, since the optimizer fits its noise: check with independent samples.
             exact = metric.by_definition()
             seems_below = value < below and (exact is None or exact.value(image.detach()) < below)
@@ -236,7 +241,8 @@ class Search:
                 break
             optimizer.step(image, adjoint)
         if after is None:
-            after = self._measure(optimized())
+            first = self._measure(inside) if brought else self._before
+            after = _best(optimizer, lambda: self._measure(optimized()), (first, unmoved), lowest)
         rates_picture = self._ranked.surfaces is not None and measure.get("limits")
         labels = {row.name: row.label for row in rows}
         note = NOISE_ONLY if rates_picture and after.is_below(below) else ""
@@ -244,7 +250,7 @@ class Search:
             note = f"at the limit of their change or range: {', '.join(labels[one] for one in stopped)}"
         return Optimization(
             values=optimized(),
-            moved=self._moved(optimized(), {**start, **brought}, limits),
+            moved=self._moved(optimized(), {**start, **brought}),
             before=self._before,
             after=after,
             history=tuple(history),
@@ -255,23 +261,22 @@ class Search:
             shows_a_view=Capabilities(self._renderer).shows_a_view is not False,
         )
 
-    def _moved(
-        self, values: Mapping[str, torch.Tensor], names: Iterable[str], limits: Collection[str]
-    ) -> tuple[Moved, ...]:
+    def _moved(self, values: Mapping[str, torch.Tensor], names: Iterable[str]) -> tuple[Moved, ...]:
         """Return the initial and final value of each of these that has moved: others were at a bound."""
         initial = {
             name: self._values[name] for name in names if not torch.equal(self._values[name], values[name])
         }
         before, after = summarize(initial), summarize({name: values[name] for name in initial})
-        lengths, dimmed = range_lengths(self._renderer, initial), lamps(self._renderer) - set(limits)
+        lengths, lights = range_lengths(self._renderer, initial), lamps(self._renderer)
+        ranges = Capabilities(self._renderer).ranges or Capabilities(self._renderer).bounds or {}
         labels = self._ranked.labels
 
         def moved(name: str) -> Moved:
-            is_dimmed = name in dimmed
-            whole = before[name].abs().max() if is_dimmed and before[name].any() else lengths[name]
+            low, high = ranges.get(name, (-math.inf, math.inf))
+            whole: Whole = "light" if name in lights else "range" if math.isfinite(high - low) else "value"
             # Not of the offsets, which go on where a value or a texel has reached its bound.
-            fraction = (after[name] - before[name]).abs().max().item() / whole.item()
-            return Moved(name, labels.get(name, name), before[name], after[name], fraction, is_dimmed)
+            fraction = changed_fraction(before[name], after[name], lengths[name], whole)
+            return Moved(name, labels.get(name, name), before[name], after[name], fraction, whole)
 
         return tuple(map(moved, initial))
 
@@ -297,15 +302,26 @@ class Search:
         chosen = chosen_limits(self._values, limits)
         return {name: limit for name, limit in chosen.items() if name not in self._fixed}
 
-    def _movable(self, count: int) -> list[Ranked]:
+    def _movable(self, count: int, limits: Collection[str]) -> list[Ranked]:
         """Return the parameters with the largest effects that may be changed."""
-        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in self._fixed]
+        # A design for the evening must not need the sky: only limits say that a light may be switched on.
+        kept = self._fixed | (self._off() - set(limits))
+        movable = [row for row in self._ranked.ranking() if any(row.total) and row.name not in kept]
         # Those in the noise would move in either direction; they only count where nothing is clear of it.
         clear = [row for row in movable if abs(row.effect) > CLEAR * (row.effect_error or 0.0)]
         return first_of_each_light(clear or movable)[:count]
 
+    def _off(self) -> set[str]:
+        """Return the lights that are off."""
+        return {name for name in lamps(self._renderer) & self._values.keys() if not self._values[name].any()}
+
     def _nothing_moves(self, metric: str) -> str:
         kept = [row.label for row in self._ranked.ranking() if any(row.total)]
+        if off := [row.name for row in self._ranked.ranking() if any(row.total) and row.name in self._off()]:
+            return (
+                f"All lights here that affect {metric} are off, and a search keeps them off: {first_few(off)}. "
+                "Start with them on, add other inputs, or name them in limits= of minimize."
+            )
         if not kept and (jumps := jump_notes(self._ranked)):
             return f"No parameter has a derivative: {first_few([note.lstrip('– ') for note in jumps], '; ')}."
         if not kept:
@@ -326,6 +342,22 @@ class Search:
             return Measured(value, error, pictures.mean(0))
         exact, exact_error = stated
         return Measured(exact, exact_error or 0.0, pictures.mean(0), value, error)
+
+
+def _best(
+    optimizer: BoundedAdam, measure: Callable[[], Measured], start: tuple[Measured, Offsets], lowest: Offsets
+) -> Measured:
+    """Go to the best of the start, the step with the lowest value and the last one; return what it measures.
+
+    All three are measured with the same samples, which are not those that the step has its low value from.
+    """
+    designs = [start]
+    for offsets in (lowest, optimizer.offsets()):
+        optimizer.go_to(offsets)
+        designs.append((measure(), offsets))
+    best, offsets = min(designs, key=lambda design: design[0].order)
+    optimizer.go_to(offsets)
+    return best
 
 
 def _shortened(

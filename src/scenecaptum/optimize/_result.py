@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import torch
 
 from ..denoising import denoise
+from ..images import LUMINANCE_WEIGHTS
 from ..scene import with_unit
 from ..visualization import (
     RAISES,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
 
 REQUIRED_SIGMAS = 2.0  # standard errors by which the metric must be below the goal
 _NAME_WIDTH = 36
+Whole: TypeAlias = Literal["range", "value", "light"]  # of a change that is a fraction
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,11 @@ class Measured:
     relaxed: float | None = None
     relaxed_error: float = 0.0
 
+    @property
+    def order(self) -> tuple[float, float]:
+        """What designs are compared by: the metric, and where that counts points or sources, the relaxed one."""
+        return self.value, self.relaxed or 0.0
+
     def is_below(self, goal: float) -> bool:
         """Whether the metric is below a goal by two standard errors, relaxed and by its definition."""
         pairs = [(self.value, self.error)]
@@ -77,10 +84,11 @@ class Moved:
     before, after
         Its values; for a texture, the mean over the texels.
     fraction
-        The change as a fraction of its range, of a texture that of its mean; for a colour, that of the channel
-        that changed most.
-    is_dimmed
-        Whether it is the light of a lamp or sky, and the fraction one of its own value.
+        The change as a fraction of its range or value, of a texture that of its mean; for a colour, that of the
+        channel that changed most, and for a light that changed in one direction, that of its luminance.
+    whole
+        What that is a fraction of: its ``"range"``, its ``"value"`` where the range is infinite, or the
+        ``"light"`` of a lamp or sky.
     """
 
     name: str
@@ -88,15 +96,37 @@ class Moved:
     before: torch.Tensor
     after: torch.Tensor
     fraction: float
-    is_dimmed: bool = False
+    whole: Whole = "range"
 
     @property
     def extent(self) -> str:
-        """How far it was changed: ``"31 % of its range"``, or ``"31 % less"`` light."""
-        percent = f"{100 * self.fraction:.0f} %"
-        if not self.is_dimmed:
-            return f"{percent} of its range"
-        return f"{percent} {'less' if bool((self.after <= self.before).all()) else 'more'}"
+        """How far it was changed: ``"31 % of its range"``, ``"31 % less"`` light, or ``"switched on"``."""
+        percent, is_light = f"{100 * self.fraction:.0f} %", self.whole == "light"
+        if is_light and not self.before.any():
+            return "switched on"
+        if is_light and not self.after.any():
+            return "switched off"
+        if is_light and bool((self.after <= self.before).all()):
+            return f"{percent} less"
+        if is_light and bool((self.after >= self.before).all()):
+            return f"{percent} more"
+        return f"{percent} of its {'range' if self.whole == 'range' else 'value'}"
+
+
+def changed_fraction(before: torch.Tensor, after: torch.Tensor, length: torch.Tensor, whole: Whole) -> float:
+    """Return a change as a fraction of a length, or of a light; with limits, a light may change its colour."""
+    change = after - before
+    if whole == "light" and bool(before.any()):
+        if bool((change <= 0).all() or (change >= 0).all()):
+            return abs(_amount(change) / _amount(before))
+        length = before.abs().max()
+    return change.abs().max().item() / length.item()
+
+
+def _amount(light: torch.Tensor) -> float:
+    """Return the luminance of a light with three channels, otherwise the sum of its channels."""
+    weights = LUMINANCE_WEIGHTS if light.numel() == len(LUMINANCE_WEIGHTS) else [1.0] * light.numel()
+    return (light.double().flatten() @ light.new_tensor(weights).double()).item()
 
 
 @dataclass(frozen=True, repr=False)
@@ -150,7 +180,8 @@ class Optimization:
         """Plot both scenes, denoised, at one exposure, and the metric at every step, into ``figure`` if given.
 
         The points of a sensor grid are no picture, and only the steps are plotted.
-        The last point is the value that was measured apart from the steps, of a relaxed metric by its definition.
+        The last point is the value that was measured apart from the steps, of a relaxed metric by its definition;
+        if the goal was missed, that of the best step.
         """
         height, width, _ = self.before.image.shape
         renders, curve = WIDTH / 2 * height / width if self.shows_a_view else 0.0, 1.6
@@ -201,10 +232,8 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        if not self.moved:
-            return self.outcome
-        end = filter(None, [self.outcome, self.note])
-        return "\n".join([*grid(("changed", "before", "after", "by"), cells), "", *end])
+        table = [*grid(("changed", "before", "after", "by"), cells), ""] if self.moved else []
+        return "\n".join([*table, *filter(None, [self.outcome, self.note])])
 
     __repr__ = __str__
 
@@ -220,6 +249,8 @@ class Optimization:
             outcome = f"below {goal}, but not by two standard errors: use more samples"
         else:
             outcome = f"not below {goal}"
+        if not self.moved:
+            return f"{self.metric} {self._format(self.before)}, {outcome}; the search found no lower value"
         return f"{self.metric} {self._format(self.before)} → {self._format(self.after)}, {outcome}"
 
     def _format(self, measured: Measured) -> str:

@@ -57,7 +57,8 @@ class CellEffect(NamedTuple):
     """The effect of a group of parameters in a cell, with its standard error, None with a single replicate.
 
     ``label`` is what a reader calls the group; ``doubt`` is the reason why the error may be too small, or None;
-    ``adds_losses`` says that it is a sum of losses, each by the removal of one part alone.
+    ``adds_losses`` says that it is a sum of losses, each by the removal of one part alone, and ``adds_errors``
+    that the error is a sum of errors, an upper limit.
     """
 
     cell: Cell
@@ -69,6 +70,7 @@ class CellEffect(NamedTuple):
     quantity: Quantity
     doubt: str | None = None
     adds_losses: bool = False
+    adds_errors: bool = False
 
 
 def selected_cells(
@@ -146,7 +148,10 @@ def _effects_of(
         error = None if errors is None else errors[name]
         label = attribution.labels.get(name, name) if members[name] == (name,) else name
         adds_losses = sum(_parts_removed(attribution, member) for member in members[name]) > 1
-        yield CellEffect(cell, name, label, effect, error, degrees, quantity, doubts.get(name), adds_losses)
+        adds_errors = error is not None and len(members[name]) > 1 and name not in summed.replicates
+        yield CellEffect(
+            cell, name, label, effect, error, degrees, quantity, doubts.get(name), adds_losses, adds_errors
+        )
 
 
 def _parts_removed(attribution: SceneAttribution, name: str) -> int:

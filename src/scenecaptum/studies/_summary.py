@@ -80,6 +80,8 @@ class GroupEffect(Combined):
         What the effects are: the label of an axis, and the meanings of positive and negative effects.
     adds_losses
         Whether effects are sums of losses by ablation or occlusion, each of one part that was removed alone.
+    adds_errors
+        Whether errors of effects are sums of those of Shapley values, which are upper limits.
     """
 
     metric: str
@@ -91,6 +93,7 @@ class GroupEffect(Combined):
     unit: str
     quantity: Quantity
     adds_losses: bool
+    adds_errors: bool
 
     @property
     def raises(self) -> int:
@@ -256,6 +259,11 @@ class Summary:
             which = _where(added, named)
             sums = f"the sum of the losses of its parameters, channels or patches, each alone{which}"
             notes.append(advised(sums, _REMOVE_TOGETHER, ": "))
+        if added := [name for name, row in named if row.adds_errors]:
+            notes.append(
+                f"of a sum of Shapley values, the noise is an upper limit{_where(added, named)}: the sum of the "
+                "errors of its members, whose covariance is not known"
+            )
         unknown = group_by_text((name, note) for name, row in named for note in row.unknowns)
         for note, names in unknown.items():
             notes.append(f"{_UNKNOWN} {note}{_where(names, named)}")
@@ -342,6 +350,7 @@ def _row(
         unit=numbers["unit"],
         quantity=effects[0].quantity,
         adds_losses=any(one.adds_losses for one in effects),
+        adds_errors=any(one.adds_errors for one in effects),
     )
 
 

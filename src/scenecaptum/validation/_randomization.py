@@ -349,4 +349,4 @@ def _mean_and_range(values: torch.Tensor) -> str:
 
 
 def _written(correlation: float) -> str:
-    return minus(f"{round(correlation, 2) + 0.0:.2f}")  # + 0.0 turns −0.0 into 0.0
+    return minus(f"{correlation:.2f}")

@@ -58,11 +58,13 @@ def light_notes(
         row.name in on and row.saliency > max(least, allowed * (row.saliency_error or 0.0)) for row in rows
     ):
         return []
+    # Without surfaces, as of a sensor grid, there are no objects to group by.
+    groups = "material" if attribution.surfaces is None else "object"
     return [
         advised(
             f"of a light, to first order: {metric_symbol(attribution)} is not linear in the light, and may change "
             "by much more or less, or in the other direction, if one is switched off",
-            'for that, use an ablation with groups="object" (--method ablation --groups object)',
+            f'for that, use an ablation with groups="{groups}" (--method ablation --groups {groups})',
         )
     ]
 

@@ -77,8 +77,8 @@ class Format(NamedTuple):
 
 
 def minus(text: str) -> str:
-    """Write hyphens of a number as minus signs, as figures do."""
-    return text.replace("-", "−")
+    """Write hyphens of a number as minus signs, as figures do; zero has no sign."""
+    return re.sub(r"^-(?=[0.]+$)", "", text).replace("-", "−")
 
 
 def rounded(number: float, digits: int = 3) -> str:

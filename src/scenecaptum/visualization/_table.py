@@ -186,10 +186,13 @@ def _table(
         notes.append(
             "below 0: not above the noise of rendering, which is subtracted; more samples would show the value"
         )
-    if attribution.kind is ResultKind.ABLATION and any(len(row.total) > 1 for row in shown):
+    colored = next((row.name for row in shown if len(row.total) > 1), None)
+    if attribution.kind is ResultKind.ABLATION and colored is not None:
+        # Without surfaces there are no objects to group by.
+        of_mapping = f'groups={{"{colored}": "{colored}"}}'
+        option = of_mapping if attribution.surfaces is None else 'groups="object" (--groups object)'
         notes.append(
-            'of a colour, the sum of the losses of its channels, each alone: groups="object" (--groups object) '
-            "ablates them together"
+            f"of a colour, the sum of the losses of its channels, each alone: {option} ablates them together"
         )
     for text, names in groups.items():
         notes.append(f"{markers[text].ljust(2)} {text} ({count_of(names, with_rows)})")

@@ -36,7 +36,7 @@ function written(value, error, signed = false) {
   const usable = Number.isFinite(error) && error > 0;
   const last = usable ? (error < 3.55 * 10 ** exponent(error) ? 1 : 0) - exponent(error) : 3 - exponent(value || 1);
   const digits = Math.min(Math.max(last, 0), 12);
-  const text = value.toFixed(digits);
+  const text = value.toFixed(digits).replace(/^-(?=[0.]+$)/, ""); // never −0.0
   return [minus(signed && Number(text) > 0 ? `+${text}` : text), usable ? error.toFixed(digits) : ""];
 }
 
