@@ -142,10 +142,16 @@ def test_undo_redo_and_reset(window):
     window.set(WALL, 0.2)
     window.page.get_by_role("button", name="Undo").click()
     assert float(window.range(WALL).input_value()) == pytest.approx(0.57, abs=0.01)
+    window.page.get_by_role("button", name="Undo").click()
+    assert float(window.range(LAMP).input_value()) == 1.0
+    # Nothing is left to undo: a frame later, a disabled button has lost its focus.
+    window.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    window.page.keyboard.press("Control+Shift+z")
+    assert float(window.range(LAMP).input_value()) == 0.5
     window.page.keyboard.press("Control+z")
     assert float(window.range(LAMP).input_value()) == 1.0
-    window.page.keyboard.press("Control+Shift+z")
-    window.page.get_by_role("button", name="Redo").click()
+    for _ in range(2):
+        window.page.get_by_role("button", name="Redo").click()
     assert (float(window.range(LAMP).input_value()), float(window.range(WALL).input_value())) == (0.5, 0.2)
     window.slider(WALL).get_by_role("button", name="Reset").click()
     assert set(confirmed(window)["design"]) == {LAMP}

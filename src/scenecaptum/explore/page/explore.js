@@ -163,6 +163,7 @@ class Page {
     this.heard = (message, buffers) => this.receive(message, buffers ?? []);
     this.isRecorded = el.dataset.explore === "recorded"; // nothing renders what the sliders set
     el.classList.add("explore");
+    el.tabIndex = -1;
     el.addEventListener("keydown", (event) => this.press(event));
     el.addEventListener("keyup", (event) => event.key.toLowerCase() === "b" && this.hold(false));
     this.layout();
@@ -447,10 +448,16 @@ class Page {
     });
     const ofStart = this.base.metrics[this.metric].premises.map((one) => `at the start: ${one}`); // not of a prediction
     this.parts.premises.textContent = (this.measured(this.metric)?.premises ?? ofStart).join("\n");
-    this.parts.undo.disabled = !this.past.length;
-    this.parts.redo.disabled = !this.future.length;
-    this.parts.reset.disabled = !Object.keys(this.design).length;
-    this.parts.start.disabled = isStart;
+    this.enable(this.parts.undo, this.past.length > 0);
+    this.enable(this.parts.redo, this.future.length > 0);
+    this.enable(this.parts.reset, Object.keys(this.design).length > 0);
+    this.enable(this.parts.start, !isStart);
+  }
+
+  /** Enable a button, or disable it; the page takes its focus, so that keys still reach the page. */
+  enable(one, isEnabled) {
+    if (!isEnabled && one.matches(":focus")) this.el.focus({ preventScroll: true });
+    one.disabled = !isEnabled;
   }
 
   drawRows() {
