@@ -83,5 +83,5 @@ def test_a_wrong_name_is_answered_by_its_object_or_by_where_the_names_are_listed
     ):
         with pytest.raises(SceneCaptumError, match=r"Did you mean 'floor\.reflectance\.value'\?"):
             call("floor.base_color.value")
-        with pytest.raises(SceneCaptumError, match=r"[`(]inputs|list\(attribution\)|Print the table"):
+        with pytest.raises(SceneCaptumError, match=r"[`(]inputs|list\(attribution\)|Print parameters_table"):
             call("xyzzy")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -65,6 +67,18 @@ def test_each_object_of_a_merged_source_has_its_own_luminance(found):
 def test_the_light_in_the_pixels_of_an_edge_is_that_of_the_sky(found):
     assert set(found) == {"sky", "lamp"}
     assert found["sky"].share + found["lamp"].share > 0.98
+
+
+def test_a_shape_is_not_named_after_another_in_which_its_material_is_defined():
+    metric, image = TargetedMetric(metrics.MeanLuminance(), None), torch.ones(3, SIZE, SIZE, 3)
+    floor = dataclasses.replace(
+        surface_map(fractions()),
+        objects=("picture", *NAMES[1:]),
+        parameters=(("picture.bsdf.reflectance.value",), *[("picture.bsdf.reflectance.value",)] * 3),
+    )
+    assert {source.name for source in find_sources(metric, image, floor)} == {"picture", *NAMES[1:]} - {
+        "lamp"
+    }
 
 
 def test_the_names_do_not_depend_on_what_is_selected(found):

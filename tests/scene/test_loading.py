@@ -61,6 +61,20 @@ def test_a_folder_is_refused_with_the_file_inside_it(mi: Any, painted: Path, tmp
     assert "no .xml" in message(lambda: load_scene(tmp_path / "empty"))
 
 
+@pytest.mark.parametrize(
+    ("name", "content"), [("room.glb", b"glTF\x02\0"), ("room.png", b"\x89PNG"), ("a.xml", b"")]
+)
+def test_a_file_of_another_kind_is_refused(mi: Any, tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    said = message(lambda: load_scene(tmp_path / name))
+    assert "is not a scene in Mitsuba's XML" in said
+
+
+def test_a_dict_without_a_sensor_gets_one_of_a_dict(mi: Any) -> None:
+    said = message(lambda: load_scene({"type": "scene", "ball": {"type": "sphere"}}))
+    assert '{"type": "perspective"}' in said
+
+
 def test_a_mesh_is_refused_with_its_place_in_a_scene(mi: Any, tmp_path: Path) -> None:
     (tmp_path / "chair.ply").write_text("ply\n")
     said = message(lambda: load_scene(tmp_path / "chair.ply"))

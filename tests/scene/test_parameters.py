@@ -198,6 +198,15 @@ def test_effects_of_a_cone_are_from_zero_to_its_angle(mi: Any) -> None:
         assert str(found[name].range) == "[0, ∞)"
 
 
+@pytest.mark.parametrize("order", [("paint", "wall", "floor"), ("wall", "paint", "floor")])
+def test_a_shared_material_has_its_own_label_wherever_it_is_defined(mi: Any, order: tuple[str, ...]) -> None:
+    """A material that is referred to before it is defined gets a name within the first shape."""
+    using = {"type": "rectangle", "material": {"type": "ref", "id": "paint"}}
+    parts = {"paint": {"type": "diffuse"}, "wall": using, "floor": using}
+    found = table(small_scene(**{name: parts[name] for name in order}))
+    assert "paint: reflectance" in {one.label for one in found.values()}
+
+
 def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
     labels = [p.label for p in zoo.values()]
     assert len(set(labels)) == len(labels)

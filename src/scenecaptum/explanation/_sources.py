@@ -110,7 +110,8 @@ def _name(surfaces: SurfaceMap, index: int) -> str:
     used = surfaces.parameters[index]
     if any(name.startswith(f"{own}.emitter.") for name in used):
         return own
-    materials = {name.split(".")[0] for name in used if not name.startswith(f"{own}.")}
+    # A material that is defined in a shape is named after that one, even where others use it, too.
+    materials = {name.split(".")[0] for name in used}.difference(surfaces.objects)
     return materials.pop() if len(materials) == 1 else own
 
 

@@ -23,6 +23,11 @@ from .bundled import BUNDLED
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
 XmlParameters: TypeAlias = "Mapping[str, str | float]"
 
+_BEFORE_XML = b"\xef\xbb\xbf \t\r\n"  # the mark of UTF-8, and white space
+_SENSOR_OF_A_FILE, _SENSOR_OF_A_DICT = (
+    '<sensor type="perspective">…</sensor>',
+    '"camera": {"type": "perspective"}',
+)
 _MESHES = frozenset({".obj", ".ply", ".serialized"})  # endings that are their plugins' names too
 
 # Of loaded integrators that are written in Python, which do not know by which plugin a scene names them.
@@ -71,7 +76,7 @@ def load_scene(scene: SceneLike, parameters: XmlParameters | None = None) -> Any
     if not loaded.sensors():
         raise SceneCaptumError(
             f"{scene_name(scene)} has no sensor, so it cannot be rendered. "
-            'Add one, for example <sensor type="perspective">…</sensor>.'
+            f"Add one, for example {_SENSOR_OF_A_DICT if isinstance(scene, Mapping) else _SENSOR_OF_A_FILE}."
         )
     return loaded
 
@@ -135,6 +140,11 @@ def _load_path_or_bundled(scene: str | os.PathLike[str], parameters: Mapping[str
             raise SceneCaptumError(
                 f"{path} is a mesh, not a scene: name it in a scene, with a camera and lights, for example "
                 f'{{"type": "{path.suffix[1:].lower()}", "filename": "{path.name}"}} in a scene dict.'
+            )
+        if not path.read_bytes().lstrip(_BEFORE_XML).startswith(b"<"):
+            raise SceneCaptumError(
+                f"{path} is not a scene in Mitsuba's XML. Export one, from Blender with the add-on "
+                "mitsuba-blender, or build a scene dict."
             )
         check_xml(path, parameters)
         # Paths of textures and meshes are relative to the scene file.

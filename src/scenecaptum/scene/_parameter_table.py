@@ -182,7 +182,7 @@ class SceneParameters(Mapping[str, Parameter]):
         except KeyError:
             raise UnknownNameError(
                 f"The scene has no parameter {name!r}."
-                f"{near_misses(name, self._by_name, instead=' Print the table for all names.')}"
+                f"{near_misses(name, self._by_name, instead=' Print parameters_table() for all names.')}"
             ) from None
 
     def __contains__(self, name: object) -> bool:

@@ -346,6 +346,8 @@ def _label(graph: SceneGraph, name: str, node: Any) -> str:
     owner, *inner = [*segments, rest]
     if area_emitter_id(owner) in (scene_object.id() for _, scene_object in path):
         owner = area_emitter_id(owner)
+    if _is_shared_material(graph, path):
+        owner = graph.owners(path[1][1])[0]  # its own name comes first
     words = [
         (_BUMP_WORDS if parent.class_name() == "BumpMap" else _LABEL_WORDS).get(
             segment, segment.replace("_", " ")
@@ -358,6 +360,14 @@ def _label(graph: SceneGraph, name: str, node: Any) -> str:
     if inner[-1] == "data":
         words.append("texture" if words else "map")
     return f"{owner}: {' '.join(words)}" if words else owner
+
+
+def _is_shared_material(graph: SceneGraph, path: Sequence[tuple[str, Any]]) -> bool:
+    """Whether a path leads through a shape to a material that other shapes use, too: the shape does not own it."""
+    mi = activate()
+    shape, *inner = (node for _, node in path)
+    through = isinstance(shape, mi.Shape) and bool(inner) and isinstance(inner[0], mi.BSDF)
+    return through and len(graph.shapes_using(inner[0])) > 1
 
 
 def _is_on_a_lamp(path: Sequence[tuple[str, Any]]) -> bool:
