@@ -18,6 +18,7 @@ from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
 from scenecaptum.explanation._threshold import small_lamp_notes
+from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import format_with_error, plot_bars, table_text
 
@@ -398,6 +399,19 @@ def test_the_caution_of_a_small_lamp_says_how_much_a_finer_picture_has_more(mi):
     by = float(re.search(r"too low, by about ([\d.]+)", note)[1])
     # Pixels at its edge average it with the wall, and those of the coarse picture are elsewhere: 8 log10(…).
     assert coarse + by == pytest.approx(fine, abs=8 * math.log10(1.3))
+
+
+def test_small_lamps_in_one_pixel_add_up():
+    metric = metrics.UnifiedGlareRating(Camera.perspective(8, 8, fov_x=60))
+    image = torch.full((8, 8, 3), 0.5)
+
+    def said(*solid_angles: float) -> list[str]:
+        lamps = {
+            str(n): SmallLamp(torch.full((3,), 300.0), one, (3, 4)) for n, one in enumerate(solid_angles)
+        }
+        return [note.split("by about ")[1] for note in small_lamp_notes(metric, image, lamps)]
+
+    assert said(1e-5, 1e-5) == said(2e-5) != said(1e-5)
 
 
 def test_a_noisy_uniformity_is_cautioned():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from typing import TypeGuard
 
@@ -64,17 +65,17 @@ def small_lamp_notes(metric: GlareRating, image: torch.Tensor, lamps: Mapping[st
     The luminance of their pixels is averaged with what surrounds them, and glare grows faster than luminance:
     with its square. ``lamps`` are all that are as small.
     """
-    threshold = metric.held_at(image).threshold
-    seen = {
-        name: metric.efficacy * luminance(lamp.radiance[None, None]).item() for name, lamp in lamps.items()
-    }
+    seen = {name: luminance(lamp.radiance[None, None]).item() for name, lamp in lamps.items()}
+    threshold = metric.held_at(image).threshold / metric.efficacy
     bright = {name: lamp for name, lamp in lamps.items() if seen[name] > threshold}
-    resolved, compared = image.clone(), image.clone()
+    squares = defaultdict[tuple[int, int], float](float)
+    resolved, compared, shown = image.clone(), image.clone(), luminance(image)
     for name, lamp in bright.items():
         share = lamp.solid_angle / metric.camera.solid_angles[lamp.pixel].item()
-        # As much luminance² · solid angle as the lamp has, and the lamp's luminance against the threshold.
-        as_bright = max(luminance(image)[lamp.pixel].item(), seen[name] / metric.efficacy * share**0.5)
-        resolved[lamp.pixel], compared[lamp.pixel] = as_bright, seen[name] / metric.efficacy
+        squares[lamp.pixel] += share * seen[name] ** 2
+        # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
+        resolved[lamp.pixel] = max(shown[lamp.pixel].item(), squares[lamp.pixel] ** 0.5)
+        compared[lamp.pixel] = seen[name]
     value = metric.hard(image).item()
     missing = metric.hard(resolved, compared=compared).item() - value
     if missing <= NOTABLE * value:
