@@ -79,7 +79,7 @@ def write_error(path: Path, error: Exception) -> SceneCaptumError:
     if isinstance(error, FileNotFoundError):
         return SceneCaptumError(f"{path} cannot be written: create its folder {str(path.parent)!r} first.")
     if isinstance(error, FileExistsError | NotADirectoryError):
-        return SceneCaptumError(f"{path} cannot be written: it must be a folder, and a file is in its place.")
+        return SceneCaptumError(f"{path} cannot be written: a file is where a folder must be.")
     reason = getattr(error, "strerror", None) or error
     return SceneCaptumError(
         f"{path} cannot be written: {reason}. Free disk space or choose another path; existing files were not "

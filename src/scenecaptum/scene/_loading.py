@@ -23,7 +23,7 @@ from .bundled import BUNDLED
 SceneLike: TypeAlias = "str | os.PathLike[str] | Mapping[str, Any] | Any"
 XmlParameters: TypeAlias = "Mapping[str, str | float]"
 
-_BEFORE_XML = b"\xef\xbb\xbf \t\r\n"  # the mark of UTF-8, and white space
+_BEFORE_XML = b"\xef\xbb\xbf\xff\xfe\0 \t\r\n"  # the marks of UTF-8 and UTF-16, and white space
 _SENSOR_OF_A_FILE, _SENSOR_OF_A_DICT = (
     '<sensor type="perspective">…</sensor>',
     '"camera": {"type": "perspective"}',
