@@ -24,7 +24,7 @@ from seeds import shifted
 from scenecaptum import FeatureAblationScene, SceneAttribution, SceneCaptumError, VanillaSceneGradient, cli
 from scenecaptum.attr import AttributionInterrupted
 from scenecaptum.projection import SurfaceMap, TexelMap, export, heatmap, shared_maximum
-from scenecaptum.report import Comparison, describe_objects, write_report
+from scenecaptum.report import Comparison, describe_objects, write_csv, write_report
 from scenecaptum.report._pixels import LAYERS, encode_picture, encode_surfaces
 from scenecaptum.visualization import Arrow, automatic_exposure, plot_heatmap, shown_render
 
@@ -681,6 +681,27 @@ def test_downloaded_numbers_have_full_precision(report):
     assert any(row["caution"] for row in rows)
     assert results[0]["info"]["seed"] == shifted(7)
     assert {row["name"]: row["value_2"] for row in rows}["floor.reflectance.value"] == "0.25"
+
+
+def test_the_downloaded_table_is_that_of_write_csv(browser, tmp_path):
+    result = make()
+    extents = {name: torch.full((result.covariance[name].shape[0],), 0.8) for name in result}
+    info = {**result.info, "metric_cautions": ["the lamp is smaller than a pixel"]}
+    result = dataclasses.replace(result, extents=extents, info=info)
+    write_report(result, tmp_path / "report.html")
+    write_csv(result, tmp_path / "written.csv")
+    page = Page(browser, tmp_path / "report.html")
+    with page.page.expect_download() as download:
+        page.page.locator("#csv").click()
+    saved = list(csv.DictReader(io.StringIO(Path(download.value.path()).read_text(), newline="")))
+    page.context.close()
+    written = list(csv.DictReader(io.StringIO((tmp_path / "written.csv").read_text(), newline="")))
+    assert [*saved[0]] == ["result", *written[0]]
+    for one, other in zip(saved, written, strict=True):
+        for name, text in other.items():
+            assert one[name] == text or float(one[name]) == pytest.approx(float(text), rel=1e-6), name
+    assert {row["metric_caution"] for row in saved} == {"the lamp is smaller than a pixel"}
+    assert float(saved[0]["range_1"]) == pytest.approx(0.8)
 
 
 def test_the_footer_says_how_results_were_computed(report):

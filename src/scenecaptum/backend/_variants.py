@@ -209,9 +209,10 @@ def _check_variant(wanted: str, known: list[str], *, asked: bool) -> None:
     """Raise unless the variant exists and is differentiable."""
     differentiable = [name for name in known if "_ad_" in name]
     if wanted not in known:
-        hint = near_misses(wanted, differentiable)
+        in_rgb = [name for name in differentiable if name.endswith("_ad_rgb")]  # which a SceneRenderer needs
         raise BackendError(
-            f"Unknown Mitsuba variant {wanted!r}.{hint} Differentiable variants: {', '.join(differentiable)}."
+            f"Unknown Mitsuba variant {wanted!r}.{near_misses(wanted, in_rgb)} Those of a SceneRenderer: "
+            f"{', '.join(in_rgb)}."
         )
     if wanted not in differentiable:
         cause = "" if asked else f" It was set by mi.set_variant({wanted!r}): remove that line."

@@ -316,8 +316,15 @@ def _result(
         "isNoise": _is_noise(attribution, ranking, {row for i in shown for row in mapped[i]}),
         "texels": _texels(attribution, surfaces),
         "arrows": [arrow._asdict() for arrow in arrows(attribution)],
+        "caution": metric_caution(_without_advice(attribution.info)),
         "info": plain(_without_advice(attribution.info)),
     }
+
+
+def metric_caution(info: Mapping[str, Any]) -> str | None:
+    """Return what puts the value of the metric in doubt."""
+    of_picture = (info.get("picture") or {}).get("caution")
+    return "; ".join(filter(None, [of_picture, *info.get("metric_cautions", ())])) or None
 
 
 def _without_advice(info: Mapping[str, Any]) -> dict[str, Any]:
@@ -424,6 +431,7 @@ def _row(attribution: Attribution, row: RankedParameter) -> dict[str, Any]:
         **({"isVector": True} if row.name in (attribution.info.get("vectors") or ()) else {}),
         "texture": _is_texture(attribution, row.name),
         **_value(attribution, row.name, members),
+        "range": _numbers(attribution.extents, row.name),
     }
 
 
@@ -456,6 +464,10 @@ def _written_value(attribution: Attribution, name: str, tensor: torch.Tensor) ->
 
 def _is_texture(attribution: Attribution, name: str) -> bool:
     return name in attribution and attribution[name].ndim > 1  # a group has other names than its parameters
+
+
+def _numbers(tensors: Mapping[str, torch.Tensor], name: str) -> list[float | None]:
+    return [_number(number) for number in tensors[name].flatten().tolist()] if name in tensors else []
 
 
 def _swatch(linear: Sequence[float]) -> str:

@@ -13,7 +13,7 @@ import torch
 from ..attr import SceneAttribution
 from ..files import atomic_write
 from ..visualization import metric_name, metric_unit, row_cautions
-from ._data import plain
+from ._data import metric_caution, plain
 
 # Of the numbers of a row, those of which each channel has a column in CSV.
 _LISTS = ("total", "total_error", "value", "range")
@@ -49,7 +49,7 @@ def json_text(attribution: SceneAttribution) -> str:
             "standard_error": attribution.metric_standard_error,
             "bias": info.get("metric_bias"),
             "interval_95": attribution.metric_interval(0.95),
-            "caution": _metric_caution(attribution),
+            "caution": metric_caution(info),
         },
         "ranking": _rows(attribution),
         "info": info,
@@ -94,7 +94,7 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
         "metric_value": attribution.metric_value,
         "metric_error": attribution.metric_standard_error,
         "metric_unit": metric_unit(attribution),
-        "metric_caution": _metric_caution(attribution),
+        "metric_caution": metric_caution(attribution.info),
     }
     columns = [
         *("rank", "name", "label", "effect", "effect_error"),
@@ -107,8 +107,3 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
         for row in rows:
             numbered = {f"{column}_{c + 1}": n for column in _LISTS for c, n in enumerate(row[column] or ())}
             writer.writerow({**row, **numbered, **of_metric})
-
-
-def _metric_caution(attribution: SceneAttribution) -> str | None:
-    of_picture = (attribution.info.get("picture") or {}).get("caution")
-    return "; ".join(filter(None, [of_picture, *attribution.info.get("metric_cautions", ())])) or None

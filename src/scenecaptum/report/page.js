@@ -429,16 +429,22 @@ function barsText() {
     + `<text x="12" y="42" fill="#555">${escape(result().axis)}</text>${lines.join("")}</svg>\n`;
 }
 
+/** The numbers of all results, in the columns of ``write_csv``. */
 function csvText() {
   const most = (count) => Math.max(0, ...results.flatMap((one) => one.rows.map(count)));
   const numbered = (name, count) => Array.from({ length: count }, (_, index) => `${name}_${index + 1}`);
   const padded = (list, count) => Array.from({ length: count }, (_, index) => list?.[index] ?? "");
   const values = most((row) => row.value?.length ?? 0);
+  const ranges = most((row) => row.range.length);
   const channels = most((row) => row.total.length);
-  const head = ["result", "metric", "rank", "name", "label", ...numbered("value", values), "effect", "effect_error", ...numbered("total", channels), ...numbered("total_error", channels), "caution", "metric_unit"];
+  const head = [
+    "result", "rank", "name", "label", "effect", "effect_error", ...numbered("total", channels), ...numbered("total_error", channels),
+    ...numbered("value", values), ...numbered("range", ranges), "caution", "metric", "metric_value", "metric_error", "metric_unit", "metric_caution",
+  ];
   const lines = results.flatMap((one) => one.rows.map((row, index) => [
-    one.title, one.metric, index + 1, row.name, row.label, ...padded(row.value, values), row.effect ?? "", row.effectError ?? "",
-    ...padded(row.total, channels), ...padded(row.totalError, channels), row.inDoubt ?? "", one.unit]));
+    one.title, index + 1, row.name, row.label, row.effect ?? "", row.effectError ?? "", ...padded(row.total, channels), ...padded(row.totalError, channels),
+    ...padded(row.value, values), ...padded(row.range, ranges), row.inDoubt ?? "", one.metric, one.value, one.error ?? "", one.unit, one.caution ?? "",
+  ]));
   const cell = (one) => (/[",\r\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
   return `${[head, ...lines].map((line) => line.map(cell).join(",")).join("\r\n")}\r\n`;
 }
@@ -446,10 +452,10 @@ function csvText() {
 function jsonText() {
   const numbers = results.map((one) => ({
     title: one.title,
-    metric: { name: one.metric, unit: one.unit, value: one.value, standard_error: one.error },
+    metric: { name: one.metric, unit: one.unit, value: one.value, standard_error: one.error, caution: one.caution },
     quantity: one.quantity,
     ranking: one.rows.map((row, index) => ({
-      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, effect: row.effect, effect_error: row.effectError,
+      rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, range: row.range, effect: row.effect, effect_error: row.effectError,
       total: row.total, total_error: row.totalError.length ? row.totalError : null,
       caution: row.inDoubt,
     })),
