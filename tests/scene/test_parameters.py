@@ -207,6 +207,52 @@ def test_a_shared_material_has_its_own_label_wherever_it_is_defined(mi: Any, ord
     assert "paint: reflectance" in {one.label for one in found.values()}
 
 
+def listed_textures(mi: Any) -> Config:
+    """Textures that the scene lists, and that materials refer to."""
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(np.full((4, 4, 3), 0.4, np.float32)), "raw": True}
+    refs = {name: {"type": "ref", "id": name} for name in ("wood", "rough", "tiles", "paint", "metal")}
+    return {
+        "type": "scene",
+        "wood": bitmap,
+        "rough": bitmap,
+        "tiles": {"type": "checkerboard"},
+        "spare": bitmap,
+        "paint": {"type": "diffuse", "reflectance": refs["wood"]},
+        "metal": {"type": "roughconductor", "alpha": refs["rough"]},
+        "lower": {"type": "rectangle", "bsdf": refs["paint"]},
+        "ball": {"type": "sphere", "bsdf": refs["metal"]},
+        "cube": {"type": "cube", "bsdf": {"type": "diffuse", "reflectance": refs["tiles"]}},
+        "sky": {"type": "constant"},
+        "camera": {"type": "perspective"},
+    }
+
+
+def test_textures_that_the_scene_lists_belong_to_the_materials_that_read_them(mi: Any) -> None:
+    found = table(listed_textures(mi))
+    textures = ("wood", "rough", "tiles", "spare")
+    assert {
+        name: (p.label, p.kind, p.shape, str(p.bounds), p.owners, p.is_used)
+        for name, p in found.items()
+        if name.partition(".")[0] in textures and not p.problem
+    } == {
+        "wood.data": ("wood: reflectance texture", "reflectance", (4, 4, 3), "[0, 1]", ("paint",), True),
+        "rough.data": ("rough: roughness texture", "roughness", (4, 4, 1), "(0, 1]", ("metal",), True),
+        "tiles.color0.value": ("tiles: reflectance color0", "reflectance", (), "[0, 1]", ("cube",), True),
+        "tiles.color1.value": ("tiles: reflectance color1", "reflectance", (), "[0, 1]", ("cube",), True),
+        "spare.data": ("spare: map", "scene", (4, 4, 3), "(−∞, ∞)", (), False),
+    }
+    assert select(found, "reflectance") == ("wood.data", "tiles.color0.value", "tiles.color1.value")
+
+
+def test_textures_of_a_users_scene_are_named_after_their_plugin(mi: Any) -> None:
+    found = table(mi.load_dict(listed_textures(mi), optimize=False))
+    assert {name: found[name].kind for name in found if name.endswith(".data")} == {
+        "bitmap.data": "reflectance",
+        "bitmap_2.data": "roughness",
+        "bitmap_3.data": "scene",
+    }
+
+
 def test_labels_are_unique_and_short(zoo: SceneParameters) -> None:
     labels = [p.label for p in zoo.values()]
     assert len(set(labels)) == len(labels)

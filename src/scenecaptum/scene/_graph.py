@@ -15,20 +15,24 @@ class SceneGraph:
     """Parent and child edges between the objects of a scene.
 
     ``mi.traverse`` visits an object once, under its first parent. Materials can be shared, nested and two-sided,
-    so all parents are needed to find every surface that uses a parameter.
+    so all parents are needed to find every surface that uses a parameter. The scene is not among them: it only
+    lists what has an id of its own.
     """
 
     def __init__(self, scene: Any) -> None:
         self.scene = scene
         self._children: dict[Any, list[tuple[str, Any]]] = {}
         self._parents: dict[Any, list[tuple[Any, str]]] = {}
+        self._visited_under: dict[Any, tuple[Any, str]] = {}
         self._traverse(scene)
         self._link_instances()
 
     def _traverse(self, node: Any) -> None:
         self._children[node] = children(node)
         for name, child in self._children[node]:
-            self._parents.setdefault(child, []).append((node, name))
+            self._visited_under.setdefault(child, (node, name))
+            if node is not self.scene:
+                self._parents.setdefault(child, []).append((node, name))
             if child not in self._children:
                 self._traverse(child)
 
@@ -73,7 +77,7 @@ class SceneGraph:
         """Return the objects from the scene (excluded) to ``node``, each with its name in ``mi.traverse``."""
         found: list[tuple[str, Any]] = []
         while node is not self.scene:
-            parent, name = self._parents[node][0]
+            parent, name = self._visited_under[node]
             found.insert(0, (name, node))
             node = parent
         return found

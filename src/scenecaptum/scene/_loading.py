@@ -16,7 +16,7 @@ import numpy as np
 from ..backend import activate, at_least_two_threads
 from ..errors import SceneCaptumError, near_misses
 from ._files import Placeholders, check_dict, check_referenced_files, check_xml, is_file
-from ._naming import name_nodes, name_objects, without_addresses
+from ._naming import name_nodes, name_objects, restore_texture_ids, texture_ids, without_addresses
 from ._portable import picture_of, with_copied_tensors
 from .bundled import BUNDLED
 
@@ -250,6 +250,7 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
         name_nodes(state.nodes)
         # Mitsuba does not know which kind of object a plugin written in Python is.
         plugins = {node.props.id(): node.props.plugin_name() for node in state.nodes}
+        textures = texture_ids(state.nodes)
         _make_differentiable(state)
         with at_least_two_threads():
             loaded = mi.parser.instantiate(config, state)
@@ -267,6 +268,7 @@ def _instantiate(name: str, parse: Callable[[Any], Any]) -> Any:
             '<scene version="3.0.0">…</scene>, or {"type": "scene", …}.'
         )
     _check_meshes(name, loaded)
+    restore_texture_ids(loaded, textures)
     integrator = loaded.integrator()
     if hasattr(integrator, "__weakref__") and integrator.id() in plugins:
         _INTEGRATOR_PLUGINS[integrator] = plugins[integrator.id()]

@@ -72,6 +72,23 @@ def name_objects(scene: Any) -> None:
             emitter.set_id(area_emitter_id(unnamed.id()))
 
 
+def texture_ids(nodes: Sequence[Any]) -> list[str]:
+    """Return the ids of the textures and volumes that the scene itself lists, in its order."""
+    kinds = activate().ObjectType
+    scene = next((node for node in nodes if node.props.plugin_name() == "scene"), None)
+    listed = [] if scene is None else _referenced(nodes, scene)
+    return [node.props.id() for node in listed if node.type in (kinds.Texture, kinds.Volume)]
+
+
+def restore_texture_ids(scene: Any, ids: Sequence[str]) -> None:
+    """Give the textures that a loaded scene lists the ids of its file, which Mitsuba's bitmaps have lost."""
+    mi = activate()
+    textures = [child for _, child in children(scene) if isinstance(child, (mi.Texture, mi.Volume))]
+    if len(textures) == len(ids):
+        for texture, identifier in zip(textures, ids, strict=True):
+            texture.set_id(identifier)
+
+
 def without_addresses(text: str) -> str:
     """Remove memory addresses from a description; Mitsuba prints them for plugins without their own description.
 
@@ -119,7 +136,9 @@ def _loaded_shape_name(shape: Any) -> str:
 
 def plugin_name(scene_object: Any) -> str:
     """Guess the plugin name of an object from its class name: ``constant``, ``rectangle``."""
-    name = str(scene_object.class_name()).replace("EnvironmentMap", "Envmap")
+    # The class of a bitmap is BitmapTextureImpl[float32].
+    name = re.sub(r"(Texture)?Impl(\[.*\])?$", "", scene_object.class_name())
+    name = name.replace("EnvironmentMap", "Envmap")
     return re.sub(_CLASS_AFFIXES, "", name).lower() or "mesh"
 
 

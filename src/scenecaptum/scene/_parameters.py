@@ -125,7 +125,7 @@ def _describe(
         tracked=tracked,
         mixes_specular=_mixes_specular(user, role),
         unknown_sampling=_is_foreign_and_specular(user),
-        is_used=not isinstance(user, mi.BSDF) or bool(shapes),
+        is_used=bool(shapes) or not isinstance(user, (mi.BSDF, mi.Texture, mi.Volume)),
         lobe_weight=kind in SURFACE_KINDS and _material_role(role).is_lobe_weight,
         shapes=tuple(shape.id() for shape in shapes),
         fault=fault,
@@ -357,6 +357,9 @@ def _label(graph: SceneGraph, name: str, node: Any) -> str:
     ]
     if _is_on_a_lamp(path):
         words.insert(0, "surface")  # the reflectance of a lamp is not that of its light
+    user, role = graph.role(path[0][1], inner[0])
+    if user is not path[0][1]:  # a texture of the scene itself, which materials read
+        words.insert(0, _LABEL_WORDS.get(role, role.replace("_", " ")))
     if inner[-1] == "data":
         words.append("texture" if words else "map")
     return f"{owner}: {' '.join(words)}" if words else owner
