@@ -416,7 +416,7 @@ def make_attribution(
             "unit_ranges": unit_ranges(renderer, values),
             "lights_off": lights_off,
             "lights_on": lights_on,
-            "linear_in_light": adjoints.bias_adjoint is None,
+            "linear_in_light": not adjoints.bias_adjoints,
             "kept_directions": steps.kept_directions,
             "left_out_directions": steps.left_out_directions,
             "shown_moves": dict(shown_moves(names, values)) if shown_moves else {},

@@ -22,8 +22,9 @@ class Adjoints:
     standard_error: float | None  # estimated by the jackknife; includes the bias; None for a single replicate
     bias: float | None  # the remaining one, due to the finite number of samples; None for a single replicate
     per_replicate: tuple[torch.Tensor, ...]  # the adjoint image for each backward pass
-    # Of the adjoint, due to the finite number of samples or to the denoiser; None for a linear metric.
-    bias_adjoint: torch.Tensor | None
+    # Biases of the adjoint: of the finite number of samples, and of the denoiser or its absence; none for a linear
+    # metric or a single replicate.
+    bias_adjoints: tuple[torch.Tensor, ...]
     # The metric at half of the samples minus that at all samples, on average, and the standard error without the
     # bias; None for a linear metric or a single replicate.
     drift: tuple[float, float] | None = None
@@ -41,4 +42,4 @@ class Adjoints:
     @property
     def is_linear(self) -> bool:
         """Whether the metric was found to be linear."""
-        return self.bias is not None and self.bias_adjoint is None
+        return self.bias is not None and not self.bias_adjoints

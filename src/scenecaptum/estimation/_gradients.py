@@ -69,7 +69,8 @@ class PointGradient:
     adjoints: Adjoints  # the metric's value and adjoint images at the point
     weight: float  # in a sum
     spp: int = 1  # of each replicate, or 1 for the renderer's default
-    bias: dict[str, torch.Tensor] | None = None  # due to image noise; missing names mean 0, None unknown
+    # Due to the noise of the images and to the denoiser, ``(2, …)``; missing names mean 0, None unknown.
+    biases: dict[str, torch.Tensor] | None = None
 
     @property
     def replicates(self) -> int:
@@ -88,9 +89,9 @@ class GradientSum:
     """
 
     def __init__(self, values: Tensors, *, random_points: bool = False, keep_points: bool = False) -> None:
-        # Of the sum, due to image noise; None if unknown.
-        self.bias: dict[str, torch.Tensor] | None = {
-            name: value.new_zeros(()).expand_as(value) for name, value in values.items()
+        # Of the sum, as those of a point; None if unknown.
+        self.biases: dict[str, torch.Tensor] | None = {
+            name: value.new_zeros(()).expand(2, *value.shape) for name, value in values.items()
         }
         self.weight = 0.0  # sum of the weights so far: below 1 after an interruption
         self.adjoints: Adjoints | None = None  # at the last point
@@ -109,7 +110,7 @@ class GradientSum:
 
     def add(self, point: PointGradient) -> None:
         """Add a point; after an interruption it may have fewer replicates."""
-        for known in ("degrees_of_freedom", "mean"):  # those of the points so far
+        for known in ("degrees_of_freedom", "mean", "bias"):  # those of the points so far
             self.__dict__.pop(known, None)
         replicates = point.replicates
         self.weight += point.weight
@@ -138,11 +139,11 @@ class GradientSum:
                     self._product_variance[name] = self._product_variance.get(name, 0.0) + variance_here
         for name in self._deviations.keys() - point.statistics.keys():
             self._leave_out(name, point.weight, replicates)
-        if self.bias is None or point.bias is None:
-            self.bias = None
+        if self.biases is None or point.biases is None:
+            self.biases = None
         else:
-            for name, bias in point.bias.items():
-                self.bias[name] = self.bias[name].add(bias, alpha=point.weight)
+            for name, biases in point.biases.items():
+                self.biases[name] = self.biases[name].add(biases, alpha=point.weight)
         if self.points is not None:
             self.points.append(point)
 
@@ -167,6 +168,18 @@ class GradientSum:
         if self._between_points is None:
             return {name: scaled(value, self._growth(name)) for name, value in self._sum.items()}
         return {name: self.weight * points.mean for name, points in self._between_points.items()}
+
+    @cached_property
+    def bias(self) -> dict[str, torch.Tensor] | None:
+        """The bias of the sum, an error; None if unknown.
+
+        The sizes of the two biases add up: both may be of the same noise, and the sign of what remains of one that
+        was removed is not known. The sign is that of the larger one.
+        """
+        if self.biases is None:
+            return None
+        larger = {name: torch.where(a.abs() > b.abs(), a, b) for name, (a, b) in self.biases.items()}
+        return {name: (a.abs() + b.abs()).copysign(larger[name]) for name, (a, b) in self.biases.items()}
 
     @property
     def replicates(self) -> int:
@@ -337,7 +350,7 @@ class GradientEstimator:
                 self.bar.differentiated()
             for result, wait in zip(results, bias_begun, strict=True):
                 wait()
-                result.bias = _bias(graphs[0], leaves, result.adjoints, point)
+                result.biases = _biases(graphs[0], leaves, result.adjoints, point)
         except KeyboardInterrupt:
             return results, True
         return results, False
@@ -367,11 +380,11 @@ class GradientEstimator:
         passes = [
             RenderPass(options[n // len(results)], adjoint, tracked) for n, adjoint in enumerate(adjoints)
         ]
-        biases = [result.adjoints.bias_adjoint for result in results]
-        passes += [RenderPass(options[0], bias, tracked) for bias in biases if bias is not None]
+        biases = [result.adjoints.bias_adjoints for result in results]
+        passes += [RenderPass(options[0], bias, tracked) for each in biases for bias in each]
         waits = iter(begin_passes(self.renderer, values, passes))
         replicates = [[next(waits) for _ in results] for _ in options]
-        bias_waits = [_do_nothing if bias is None else next(waits) for bias in biases]
+        bias_waits = [partial(_call_all, [next(waits) for _ in each]) for each in biases]
         return [partial(_call_all, each) for each in replicates], bias_waits
 
     def _options(self, index: int) -> list[dict[str, Any]]:
@@ -625,18 +638,19 @@ def vjp(
     return {**by_name, **{name: by_name[name] * factor for name, factor in factors.items()}}
 
 
-def _bias(
+def _biases(
     graph: Graph, leaves: dict[str, torch.Tensor], adjoints: Adjoints, point: Point
 ) -> dict[str, torch.Tensor] | None:
-    """Return the bias due to image noise of each gradient, estimated with the samples of one replicate."""
+    """Return the biases of each gradient, estimated with the samples of one replicate."""
     if adjoints.bias is None:
         return None
-    if adjoints.bias_adjoint is None:
-        return {}
-    bias = vjp(graph(), leaves, adjoints.bias_adjoint, point)
-    for name, gradient in bias.items():
-        _check_gradient(name, gradient)
-    return bias
+    parts = [vjp(graph(), leaves, adjoint, point) for adjoint in adjoints.bias_adjoints]
+    for part in parts:
+        for name, bias in part.items():
+            _check_gradient(name, bias)
+    if len(parts) == 1:  # not denoised
+        parts.append({name: torch.zeros_like(bias) for name, bias in parts[0].items()})
+    return {name: torch.stack([part[name] for part in parts]) for name in leaves} if parts else {}
 
 
 def _check_gradient(name: str, gradient: torch.Tensor) -> None:

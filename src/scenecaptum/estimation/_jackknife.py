@@ -63,7 +63,7 @@ def jackknife(
         metric = metric.with_draws(draws[0])
     value, adjoint = metric.value_and_adjoint(weighted_mean(stack, fractions))
     if count == 1:
-        return Adjoints(value, None, None, (adjoint,), None, transform=metric.transform)
+        return Adjoints(value, None, None, (adjoint,), (), transform=metric.transform)
 
     directions, step, coefficients = steps(fractions)
     values, adjoints = evaluate_at_means(metric, stack, fractions + step * directions)
@@ -73,7 +73,7 @@ def jackknife(
     if not metric.transform.denoises and is_rounding(adjoints - adjoint, adjoint):
         # The metric is linear: a bias of the size of rounding errors is not worth a backward pass.
         return Adjoints(
-            value, error, drift, (adjoint,) * count, None, error_parts=error_parts(0.0, 0.0, noise_parts)
+            value, error, drift, (adjoint,) * count, (), error_parts=error_parts(0.0, 0.0, noise_parts)
         )
 
     bias_adjoint = second_order(adjoints, adjoint, step)
@@ -92,13 +92,13 @@ def jackknife(
     if abs(drift) > _CLEAR_DRIFT * error:
         single_drift = single_values.mean().item() - value
         remaining = _remaining_bias(drift, single_drift, 1 / fractions.square().sum().item())
-    value_error, adjoint_error = transform_errors(metric, stack, fractions, value, adjoint)
+    value_error, transform_biases = transform_errors(metric, stack, fractions, value, adjoint)
     return Adjoints(
         value=value,
         standard_error=math.hypot(error, remaining * drift, value_error),
         bias=remaining * drift,
         per_replicate=tuple(adjoint - removed + deviations),
-        bias_adjoint=remaining * bias_adjoint + adjoint_error,
+        bias_adjoints=(remaining * bias_adjoint, *transform_biases),
         drift=(drift, error),
         denoised=None if metric.transform.more_accurate is None else value + value_error,
         transform=metric.transform,
@@ -161,7 +161,7 @@ def adjoints_if_linear(metric: TargetedMetric, known: Adjoints, image: torch.Ten
     value, adjoint = metric.value_and_adjoint(image)
     if not (known.is_linear and is_rounding(adjoint - known.per_replicate[0], adjoint)):
         return None
-    return Adjoints(value, None, 0.0, (adjoint,), None)
+    return Adjoints(value, None, 0.0, (adjoint,), ())
 
 
 def at_values(

@@ -63,7 +63,7 @@ def jackknife_of_draws(
             error,
             drift,
             tuple(centre.adjoints),
-            None,
+            (),
             draw_noise=draw_noise,
             error_parts=error_parts(0.0, 0.0, noise_parts),
         )
@@ -74,17 +74,17 @@ def jackknife_of_draws(
     bias_by_share = sums / (step**2 * (count - 1))
     bias = centre.mean(bias_by_share)
     bias *= _signal(bias, centre.variance(bias_by_share))
-    value_error, adjoint_error = 0.0, torch.zeros_like(adjoint)
+    value_error, transform_biases = 0.0, tuple[torch.Tensor, ...]()
     if metric.transform is not IDENTITY:
         merged = metric.with_draws({seed: n for share in draws for seed, n in share.items()})
         at_centre = merged.value_and_adjoint(mean_image)
-        value_error, adjoint_error = transform_errors(merged, images, fractions, *at_centre)
+        value_error, transform_biases = transform_errors(merged, images, fractions, *at_centre)
     return Adjoints(
         value=value,
         standard_error=math.hypot(error, drift, value_error),
         bias=drift,
         per_replicate=tuple(centre.adjoints + deviations),
-        bias_adjoint=bias + adjoint_error,
+        bias_adjoints=(bias, *transform_biases),
         drift=(drift, error),
         denoised=None if metric.transform.more_accurate is None else value + value_error,
         transform=metric.transform,

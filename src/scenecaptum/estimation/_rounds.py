@@ -104,17 +104,17 @@ class RoundSum(GradientSum):
     """
 
     def add(self, point: PointGradient) -> None:
-        """Add a round; its bias replaces the previous one, because it is based on the images of all rounds."""
-        before, weight = self.bias, self.weight
+        """Add a round; its biases replace the previous ones, since they are based on the images of all rounds."""
+        before, weight = self.biases, self.weight
         super().add(point)
-        if self.bias is not None and point.bias is not None:
-            self.bias = {
-                name: self.weight * point.bias[name] if name in point.bias else torch.zeros_like(value)
-                for name, value in self.bias.items()
+        if self.biases is not None and point.biases is not None:
+            self.biases = {
+                name: self.weight * point.biases[name] if name in point.biases else torch.zeros_like(value)
+                for name, value in self.biases.items()
             }
-        if self.bias is not None and before is not None and weight:
+        if self.biases is not None and before is not None and weight:
             settled = self._deviations.keys() - point.statistics.keys()
-            self.bias |= {name: before[name] * (self.weight / weight) for name in settled}
+            self.biases |= {name: before[name] * (self.weight / weight) for name in settled}
 
 
 class Rounds(GradientEstimator):
@@ -143,7 +143,7 @@ class Rounds(GradientEstimator):
         self._time = time
         self.mix: Mix | None = None  # of the samples, if a pilot has chosen it
         self._phase_start = 0.0  # of the images of this round, then of its backward passes
-        self._bias_passes = 0  # additional backward passes for the bias
+        self._bias_passes = 0  # additional backward passes for biases
         # Mean images, their samples per pixel, and the draws of noise that belong to them.
         self._image_groups: list[tuple[torch.Tensor, int, Draws]] = []
         self.mean_adjoints: list[torch.Tensor] = []  # what all rounds so far have propagated, for each metric
@@ -246,7 +246,7 @@ class Rounds(GradientEstimator):
             own = (mean - before * self.mean_adjoints[number]) / (1 - before) if n_earlier else mean
             adjoints.append(dataclasses.replace(result, per_replicate=tuple(new - new.mean(0) + own)))
         self.mean_adjoints = means
-        self._bias_passes = 0 if all(result.is_linear for result in evaluated) else 1
+        self._bias_passes = sum(len(result.bias_adjoints) for result in evaluated)
         self._merge_images(new_groups)
         self._phase_start = self._time.now()
         return adjoints

@@ -208,7 +208,7 @@ def interval_gradients(
 
 def render_count(adjoints: Adjoints) -> float:
     """Return the number of renders and backward passes of a gradient, weighted by their samples."""
-    return 2.0 if adjoints.bias_adjoint is None else 2.0 + 1 / len(adjoints.per_replicate)
+    return 2.0 + len(adjoints.bias_adjoints) / len(adjoints.per_replicate)
 
 
 def _derivatives(
