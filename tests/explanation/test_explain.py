@@ -414,6 +414,14 @@ def test_small_lamps_in_one_pixel_add_up():
     assert said(1e-5, 1e-5) == said(2e-5) != said(1e-5)
 
 
+def test_without_small_lamps_nothing_is_missing_from_a_negative_rating():
+    metric = metrics.UnifiedGlareRating(Camera.perspective(8, 8, fov_x=60), threshold_factor=1.01)
+    image = torch.full((8, 8, 3), 1e-4)
+    image[3, 4] = 2e-4
+    assert metric.hard(image) < 0
+    assert small_lamp_notes(metric, image, {}) == []
+
+
 def test_a_noisy_uniformity_is_cautioned():
     metric, image = metrics.Uniformity(), torch.ones(4, 8, 3)
     said = ["".join(photometric_premises(metric, image, 0.3, error)) for error in (0.02, 0.01)]

@@ -257,6 +257,13 @@ def test_a_glare_rating_has_the_cautions_of_an_explanation() -> None:
     assert rated["relaxed"].startswith("predictions need")
 
 
+def test_a_threshold_that_is_not_the_usual_one_is_stated(mi) -> None:
+    renderer = SceneRenderer("cornell-box", "emitters", resolution=(8, 8), spp=4, max_depth=2)
+    rating = metrics.UnifiedGlareRating(renderer.camera, threshold_factor=5)
+    [about] = Exploration(renderer, rating, top=1, spp=4).channel.message("scene")["metrics"]
+    assert about["definition"] == "UGR: threshold 5 times the mean luminance"
+
+
 def test_a_class_of_the_start_and_of_a_render_is_as_sure_as_that_of_an_explanation() -> None:
     renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
     rating = metrics.UnifiedGlareRating(renderer.camera)

@@ -12,7 +12,7 @@ from seeds import seeds, shifted
 
 from scenecaptum import SceneRenderer, metrics
 from scenecaptum.errors import SceneCaptumError
-from scenecaptum.linearization import Designs, Linearization, Slider
+from scenecaptum.linearization import Designs, Linearization, Measured, Slider
 from scenecaptum.linearization._designs import REPLICATES
 from scenecaptum.linearization._linearization import _denoise_signed
 
@@ -41,6 +41,14 @@ def test_a_lamp_is_predicted_exactly_within_the_noise(about, place):
     assert abs(off) < allowed(REPLICATES), f"{rendered} ± {rendered_error} against {change} ± {error}"
     # The only lamp: the same picture, and the same noise in it, times a factor.
     assert torch.allclose(picture, about.designs.denoised(measured.image, {}), rtol=1e-2, atol=1e-4)
+
+
+def test_a_bias_is_part_of_the_error():
+    """Of four replicates with a single bright pixel each, the means of three agree, and that of all is far off."""
+    pseudo = torch.full((4, 1), -132.0, dtype=torch.float64)
+    found = Measured({}, torch.zeros(4, 2, 2, 3), torch.tensor([-33.0], dtype=torch.float64), pseudo)
+    assert found.value(0) == (-33.0, 99.0)
+    assert found.change(0, found) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("name", "step"), [(WALL, (0.03, 0.03, 0.03)), (POSE, (0.02, 0.0, 0.0))])

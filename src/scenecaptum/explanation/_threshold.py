@@ -78,7 +78,7 @@ def small_lamp_notes(metric: GlareRating, image: torch.Tensor, lamps: Mapping[st
         compared[lamp.pixel] = seen[name]
     value = metric.hard(image).item()
     missing = metric.hard(resolved, compared=compared).item() - value
-    if missing <= NOTABLE * value:
+    if not bright or missing <= NOTABLE * abs(value):  # a rating may be negative
         return []
     cover, their, them = ("covers", "its", "it") if len(bright) == 1 else ("cover", "their", "them")
     return [

@@ -388,7 +388,7 @@ def _meaning(metric: TargetedMetric, value: float, error: float, images: torch.T
 
 
 def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:
-    """Return title, unit and abbreviation of a metric, and whether it has classes, as plain values."""
+    """Return title, unit, abbreviation and definition of a metric, and whether it has classes, as plain values."""
     measure = metric.measure
     if not isinstance(measure, Measure):
         return {
@@ -396,6 +396,7 @@ def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:
             "unit": "",
             "changeUnit": "",
             "symbol": None,
+            "definition": "",
             "hasClasses": False,
         }
     return {
@@ -403,5 +404,6 @@ def _describe(name: str, metric: TargetedMetric) -> dict[str, Any]:
         "unit": measure.unit,
         "changeUnit": unit_of_change(measure.unit),
         "symbol": measure.symbol,
+        "definition": f"{measure.symbol or measure.name}: {measure.definition}" if measure.definition else "",
         "hasClasses": bool(measure.bands),
     }

@@ -35,10 +35,14 @@ ROUGH_SPP = 4
 
 @dataclass(frozen=True)
 class Measured:
-    """A ``design``, ``images``, ``(replicates, H, W, 3)``, and pseudo-``values``, ``(replicates, metrics)``."""
+    """A ``design``, ``images``, ``(replicates, H, W, 3)``, and what the metrics are of them.
+
+    ``of_mean``, ``(metrics,)``, are those of the mean image; ``values``, ``(replicates, metrics)``, pseudo-values.
+    """
 
     design: Design
     images: torch.Tensor
+    of_mean: torch.Tensor
     values: torch.Tensor
 
     @property
@@ -48,14 +52,15 @@ class Measured:
 
     def value(self, metric: int) -> tuple[float, float]:
         """Return a metric with its standard error."""
-        return mean_and_error(self.values[:, metric])
+        return _with_error(self.of_mean[metric], self.values[:, metric])
 
     def change(self, metric: int, start: Measured) -> tuple[float, float]:
         """Return the change of a ``metric`` from another design, ``start``, with its standard error.
 
         Most of the noise cancels in the difference.
         """
-        return mean_and_error(self.values[:, metric] - start.values[:, metric])
+        change = self.of_mean[metric] - start.of_mean[metric]
+        return _with_error(change, self.values[:, metric] - start.values[:, metric])
 
 
 class Designs:
@@ -161,13 +166,24 @@ class Designs:
             self._selector = None
         metrics = self.metrics_of(design)
 
-        def values(kept: torch.Tensor) -> torch.Tensor:
+        def values(images: torch.Tensor) -> torch.Tensor:
             self.pause()
-            mean = images[kept].mean(0)
+            mean = images.mean(0)
             found = [metric.check_value(metric.value(mean)) for metric in metrics]
             return torch.tensor(found, dtype=torch.float64)
 
-        return Measured(design, images, pseudo_values(values, len(images)))
+        of_mean, count = values(images), len(images)
+        pseudo = pseudo_values(lambda kept: values(images[kept]) if len(kept) < count else of_mean, count)
+        return Measured(design, images, of_mean, pseudo)
+
+
+def _with_error(value: torch.Tensor, pseudo: torch.Tensor) -> tuple[float, float]:
+    """Return a value with its standard error, of which the size of its bias is a part.
+
+    A metric that responds to single bright pixels may have a larger bias than spread.
+    """
+    unbiased, error = mean_and_error(pseudo)
+    return value.item(), math.hypot(error, unbiased - value.item())
 
 
 def _smaller(renderer: SceneRenderer) -> SceneRenderer:

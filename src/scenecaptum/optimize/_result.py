@@ -200,6 +200,7 @@ class Optimization:
         end = (steps, self.after.value)
         history.plot(*end, "o", color=RAISES, markersize=5, clip_on=False)
         confirmed = "confirmed" if self.reached else "measured again"
+        confirmed += "" if self.after.relaxed is None else "\nby the definition"
         # On the side of the point that is away from the line of the goal.
         align = "top" if self.after.value < self.below else "bottom"
         write_at(history, confirmed, end, (8, 0), va=align, fontsize=SMALL)

@@ -447,7 +447,8 @@ class Page {
         : "";
     });
     const ofStart = this.base.metrics[this.metric].premises.map((one) => `at the start: ${one}`); // not of a prediction
-    this.parts.premises.textContent = (this.measured(this.metric)?.premises ?? ofStart).join("\n");
+    const { definition } = this.scene.metrics[this.metric];
+    this.parts.premises.textContent = [...(this.measured(this.metric)?.premises ?? ofStart), ...(definition ? [definition] : [])].join("\n");
     this.enable(this.parts.undo, this.past.length > 0);
     this.enable(this.parts.redo, this.future.length > 0);
     this.enable(this.parts.reset, Object.keys(this.design).length > 0);
