@@ -202,7 +202,7 @@ def test_a_metric_may_import_what_lies_beside_its_file(tmp_path, monkeypatch):
         (["cornell-box", "--metric", "my_metrics.py:blnid"], ["has no 'blnid'. Did you mean 'blind'?"]),
         (["cornell-box", "--metric", "my_metrics.py:not_a_function"], ["not_a_function", "not a function"]),
         (["cornell-box", "--metric", "nowhere.py:f"], ["nowhere.py:f", "cannot be imported"]),
-        (["cornell-box", "--sensor", "panorama"], ["index of a sensor", "fisheye", "'panorama'"]),
+        (["cornell-box", "--sensor", "panorama"], ["index or id of a sensor", "fisheye", "'panorama'"]),
         (
             ["cornell-box", "--threshold-factor", "5"],
             ["--threshold-factor", "luminance", "--metric ugr, dgp or dgi"],

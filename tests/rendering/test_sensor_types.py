@@ -66,14 +66,14 @@ def test_types_have_names_modules_and_classes_of_their_own(mi: Any) -> None:
 
 def test_an_error_lists_the_types(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(SENSORS, "panorama", SensorType("360°", ("PanoramaSensor",), "scenecaptum_panorama"))
-    listed = 'index of a sensor or "fisheye" or "grid" or "panorama", not \'round\''
+    listed = 'index or id of a sensor or "fisheye" or "grid" or "panorama", not \'round\''
     with pytest.raises(SceneCaptumError, match=listed):
         SceneRenderer("cornell-box", sensor="round")
     assert list(named_sensors()) == ["fisheye", "grid", "panorama"]
     scene = room(mi, {"type": "diffuse"})
     scene["camera"]["type"] = "orthographic"
     with pytest.raises(
-        SceneCaptumError, match=r'only that of "perspective" or "fisheye" or "panorama" sensors'
+        SceneCaptumError, match=r'only that of "perspective" or "fisheye" or "panorama"'
     ):
         _ = SceneRenderer(scene, "reflectance", spp=1).camera
 

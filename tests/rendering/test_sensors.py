@@ -111,12 +111,19 @@ def test_pixels_outside_the_circle_are_black_and_show_nothing(mi: Any) -> None:
 def test_other_cameras_are_named_in_the_error(mi: Any) -> None:
     scene = room(mi, {"type": "diffuse"})
     scene["camera"]["type"] = "orthographic"
-    with pytest.raises(SceneCaptumError, match=r"geometry of a .*rthographic.* is not known.*fisheye"):
+    with pytest.raises(SceneCaptumError, match=r"geometry of Orthographic.* is not known.*fisheye"):
         _ = SceneRenderer(scene, "reflectance", spp=1).camera
     with pytest.raises(
-        SceneCaptumError, match=r'index of a sensor or "fisheye" or "grid", not \'panorama\'.*own: 0: '
+        SceneCaptumError, match=r'index or id of a sensor or "fisheye" or "grid", not \'panorama\'.*own: 0: '
     ):
         SceneRenderer(scene, "reflectance", sensor="panorama")
+
+
+def test_a_sensor_is_selected_by_its_id(mi: Any) -> None:
+    scene = room(mi, {"type": "diffuse"})
+    scene["other"] = {**scene["camera"], "fov": 20.0}
+    by_id, by_index = (SceneRenderer(scene, "reflectance", sensor=one, spp=1) for one in ("other", 1))
+    assert by_id.camera.fov == by_index.camera.fov != SceneRenderer(scene, "reflectance", spp=1).camera.fov
 
 
 def test_several_cameras_render_a_stack_that_is_differentiated_together(mi: Any) -> None:

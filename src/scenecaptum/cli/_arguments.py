@@ -44,7 +44,7 @@ def add_view(parser: argparse.ArgumentParser) -> None:
         "--sensor",
         action=Once,
         metavar="SENSOR",
-        help="index of the sensor in the scene, or a sensor with the pose of the first: "
+        help="index or id of the sensor in the scene, or a sensor with the pose of the first: "
         f"{describe(named_sensors())} (default: 0)",
     )
     parser.add_argument(

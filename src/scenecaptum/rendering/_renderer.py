@@ -111,8 +111,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     max_depth
         Longest path in segments (-1: no limit); the scene's own by default.
     sensor
-        Index of the sensor; a `View`, such as ``View(turn=30)``, a camera of the scene that is turned, moved or
-        zoomed; or a type of sensor, which gets the pose of the first one and is square unless ``resolution`` is
+        Index or id of the sensor; a `View`, such as ``View(turn=30)``, a camera of the scene that is turned, moved
+        or zoomed; or a type of sensor, which gets the pose of the first one and is square unless ``resolution`` is
         given: ``"fisheye"``, a 180° equidistant fisheye. A list of these renders a stack ``(cameras, H, W, 3)``,
         which the metric reduces; its results have no heatmap. ``"grid"`` or a ``SensorGrid``: irradiance at
         points of the room, a pixel for each.

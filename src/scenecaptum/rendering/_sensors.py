@@ -75,7 +75,7 @@ def camera_of(sensor: Any) -> Camera:
         known = [name for name, one in SENSORS.items() if one.has_camera]
         named = [name for name in named_sensors() if name in known]
         raise SceneCaptumError(
-            f"The geometry of a {sensor.class_name()} is not known, only that of {_list(known)} sensors. Select "
+            f"The geometry of {sensor.class_name()} sensors is not known, only that of {_list(known)}. Select "
             f"another with sensor=: {_list(named)} has the pose of the scene's first sensor."
         )
     if not SENSORS[name].has_camera:
@@ -141,7 +141,7 @@ def choose_sensor(
     resolution: tuple[int, int] | None,
     patches: SkyPatches | None = None,
 ) -> Any:
-    """Return a sensor of the scene by its index, a `View`, or one of a named type with the pose of the first.
+    """Return a sensor of the scene by index or id, a `View`, or one of a named type with the pose of the first.
 
     With ``patches``, the picture of a sensor grid has a row for each point and a column for each patch of the sky.
     """
@@ -153,13 +153,16 @@ def choose_sensor(
         raise SceneCaptumError(
             'sky_patches= needs the points of a sensor grid: give sensor="grid" or a SensorGrid.'
         )
-    if isinstance(which, str):
-        if which not in named_sensors():
-            own = ", ".join(f"{index}: {one.id()}" for index, one in enumerate(sensors))
+    ids = [one.id() for one in sensors]
+    if isinstance(which, str) and which not in named_sensors():
+        if which not in ids:
+            own = ", ".join(f"{index}: {name}" for index, name in enumerate(ids))
             raise SceneCaptumError(
-                f"sensor must be the index of a sensor or {_list(named_sensors())}, not {which!r}. "
+                f"sensor must be the index or id of a sensor or {_list(named_sensors())}, not {which!r}. "
                 f"The scene's own: {own}."
             )
+        which = ids.index(which)
+    if isinstance(which, str):
         side = min(sensors[0].film().crop_size())
         return _create(which, sensors[0], _checked(resolution) if resolution else (side, side))
     if isinstance(which, View):
