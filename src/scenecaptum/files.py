@@ -78,6 +78,8 @@ def write_error(path: Path, error: Exception) -> SceneCaptumError:
     """Return an error with the reason why a file cannot be written."""
     if isinstance(error, FileNotFoundError):
         return SceneCaptumError(f"{path} cannot be written: create its folder {str(path.parent)!r} first.")
+    if isinstance(error, IsADirectoryError):
+        return SceneCaptumError(f"{path} cannot be written: it is a folder. Choose another name.")
     if isinstance(error, FileExistsError | NotADirectoryError):
         return SceneCaptumError(f"{path} cannot be written: a file is where a folder must be.")
     reason = getattr(error, "strerror", None) or error

@@ -17,6 +17,7 @@ from scenecaptum.attr import Explanation
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
+from scenecaptum.explanation._sources import find_sources
 from scenecaptum.explanation._threshold import small_lamp_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
@@ -356,9 +357,9 @@ def test_a_room_of_point_lamps_has_no_glare_source_and_no_class(mi, stage_dict, 
         assert sum("check the scene's units" in note for note in said.notes()) == 1
 
 
-def bulb_before_a_wall(mi, width: int, radius: float, spp: int = 64) -> SceneRenderer:
+def bulb_before_a_wall(mi, width: int, radius: float, spp: int = 64, radiance: float = 60.0) -> SceneRenderer:
     transform = mi.ScalarTransform4f()
-    lamp = {"type": "area", "radiance": {"type": "rgb", "value": 60.0}}
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
     scene = {
         "type": "scene",
         "camera": {
@@ -386,6 +387,18 @@ def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: f
     notes = photometric_premises(metric, image, metric(image).item(), 0.1, renderer=renderer)
     assert sum("bulb covers less than half of any pixel: its light" in note for note in notes) == is_small
     assert any("nothing counts as a glare source" in note for note in notes) == is_small
+    assert not any("check the scene's units" in note for note in notes), "its size is why"
+
+
+def test_a_source_that_is_smaller_than_a_pixel_is_named_after_its_lamp(mi):
+    """No ray of a pixel's map meets it, and the pixel shows little but the wall."""
+    renderer = bulb_before_a_wall(mi, 16, 0.003, radiance=2e6)
+    metric = TargetedMetric(metrics.UnifiedGlareRating(renderer.camera), None)
+    images = torch.stack([renderer(seed=shifted(seed), spp=256) for seed in range(4)])
+    assert "bulb" not in {source.name for source in find_sources(metric, images, renderer.surfaces)}
+    sources = find_sources(metric, images, renderer.surfaces, renderer.small_lamps)
+    assert sources[0].name == "bulb"
+    assert sources[0].share > 0.9
 
 
 def test_the_caution_of_a_small_lamp_says_how_much_a_finer_picture_has_more(mi):

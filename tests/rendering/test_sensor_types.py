@@ -72,9 +72,7 @@ def test_an_error_lists_the_types(mi: Any, monkeypatch: pytest.MonkeyPatch) -> N
     assert list(named_sensors()) == ["fisheye", "grid", "panorama"]
     scene = room(mi, {"type": "diffuse"})
     scene["camera"]["type"] = "orthographic"
-    with pytest.raises(
-        SceneCaptumError, match=r'only that of "perspective" or "fisheye" or "panorama"'
-    ):
+    with pytest.raises(SceneCaptumError, match=r'only that of "perspective" or "fisheye" or "panorama"'):
         _ = SceneRenderer(scene, "reflectance", spp=1).camera
 
 

@@ -165,6 +165,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         of_value, other = picture, attribution.image
     shown = scenes.metric.transform(of_value)
     premises = photometric_premises(metric, of_value, value, error, shown, renderer)
+    lamps = renderer.small_lamps if isinstance(renderer, SceneRenderer) else {}
     if isinstance(metric, GlareRating):
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
@@ -174,7 +175,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
         definition=definition,
         premises=premises,
-        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution)),
+        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps),
         changes=tuple(rendered(scenes, change, definition) for change in proposed),
         no_changes=why_none(attribution) if count and not proposed else "",
         goal=goal,
@@ -268,7 +269,11 @@ def photometric_premises(
         premises.append(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
-    premises += threshold_notes(metric, image if shown is None else shown, Format.of(value, error))
+    rated = image if shown is None else shown
+    too_small = []
+    if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer):
+        too_small = small_lamp_notes(metric, rated, renderer.small_lamps)
+    premises += threshold_notes(metric, rated, Format.of(value, error), explained=bool(too_small))
     if isinstance(metric, VerticalIlluminance) and not metric.camera.sees_hemisphere:
         premises.append(
             advised(
@@ -278,7 +283,7 @@ def photometric_premises(
         )
     if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer):
         premises += [POINT_LAMPS] if renderer.has_point_lamps else []
-        premises += small_lamp_notes(metric, image if shown is None else shown, renderer.small_lamps)
+        premises += too_small
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from ..estimation import TargetedMetric, delete_one_jackknife
 from ..metrics import GlareRating
 from ..metrics import luminance as relative_luminance
 from ..projection import SurfaceMap
+from ..rendering import SmallLamp
 
 MIN_SHARE = 0.02
 CELLS = 32  # along the longer side of the picture: a thinner bar of a window does not separate its panes
@@ -23,16 +25,21 @@ Floats = NDArray[np.float64]
 
 
 def find_sources(
-    metric: TargetedMetric, images: torch.Tensor, surfaces: SurfaceMap | None
+    metric: TargetedMetric,
+    images: torch.Tensor,
+    surfaces: SurfaceMap | None,
+    lamps: Mapping[str, SmallLamp] | None = None,
 ) -> tuple[Source, ...]:
     """Return the objects that cause at least 2 % of a metric, the largest share first, with the errors.
 
     ``images`` are independent pictures, ``(replicates, H, W, 3)``. Without a map of the objects there are no
-    sources.
+    sources. ``lamps`` are those of a glare rating that are smaller than a pixel, which the map may lack.
     """
     if surfaces is None:
         return ()
     parts = _Parts.of(surfaces)
+    if lamps and isinstance(metric.metric, GlareRating):
+        parts = parts.with_lamps(lamps, metric.metric.camera.solid_angles)
 
     def shares(kept: torch.Tensor) -> torch.Tensor:
         weights = parts.weights(metric, images[kept].mean(0))
@@ -62,6 +69,7 @@ class _Parts:
     name: NDArray[np.int64]
     pixel: NDArray[np.int64]
     fraction: Floats
+    known: Mapping[int, float]  # the luminance of objects of which no pixel shows it
 
     @classmethod
     def of(cls, surfaces: SurfaceMap) -> _Parts:
@@ -76,6 +84,26 @@ class _Parts:
             keys // size,
             keys % size,
             np.bincount(entries, surfaces.fraction.astype(float)).astype(float),
+            {},
+        )
+
+    def with_lamps(self, lamps: Mapping[str, SmallLamp], solid_angles: torch.Tensor) -> _Parts:
+        """Return the parts with those of lamps that are smaller than a pixel, of which few rays or none are."""
+        names = [*self.names, *(name for name in lamps if name not in self.names)]
+        index = np.array([names.index(name) for name in lamps], np.int64)
+        rows, columns = np.array([lamp.pixel for lamp in lamps.values()]).T
+        pixel = rows * solid_angles.shape[1] + columns
+        size = solid_angles.flatten().cpu().numpy()[pixel]
+        fraction = np.minimum(np.array([lamp.solid_angle for lamp in lamps.values()]) / size, 1.0)
+        # Its entries of a pixel that shows a lamp are replaced.
+        others = ~np.isin(self.name * solid_angles.numel() + self.pixel, index * solid_angles.numel() + pixel)
+        radiance = torch.stack([lamp.radiance for lamp in lamps.values()])[None]
+        return _Parts(
+            names,
+            np.concatenate([self.name[others], index]),
+            np.concatenate([self.pixel[others], pixel]),
+            np.concatenate([self.fraction[others], fraction]),
+            dict(zip(index.tolist(), relative_luminance(radiance)[0].tolist(), strict=True)),
         )
 
     def by_name(self, weights: Floats) -> Floats:
@@ -92,6 +120,7 @@ class _Parts:
         luminance = relative_luminance(image).double().clamp_min(0).flatten().cpu().numpy()[self.pixel]
         purity = self.fraction**PURITY
         own = self.by_name(purity * luminance) / np.maximum(self.by_name(purity), np.finfo(np.float64).tiny)
+        own[list(self.known)] = list(self.known.values())
         light = self.fraction * own[self.name]
         of_pixel = np.bincount(self.pixel, weights=light)[self.pixel]
         share = light / np.maximum(of_pixel, np.finfo(np.float64).tiny)

@@ -19,10 +19,13 @@ NOTABLE = 0.01  # of a rating
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 
 
-def threshold_notes(metric: Metric, image: torch.Tensor, style: Format) -> list[str]:
+def threshold_notes(
+    metric: Metric, image: torch.Tensor, style: Format, *, explained: bool = False
+) -> list[str]:
     """Return a note if a picture has no glare source, or its main source is close to an absolute threshold.
 
-    ``style`` is that of the rating beside which the one by the other threshold stands.
+    ``style`` is that of the rating beside which the one by the other threshold stands. ``explained`` says that
+    another note has the reason why nothing counts, such as lamps that are smaller than a pixel.
     """
     if not isinstance(metric, GlareRating):
         return []
@@ -30,13 +33,12 @@ def threshold_notes(metric: Metric, image: torch.Tensor, style: Format) -> list[
     limit = f"{metric.threshold:g} cd/m²" if factor is None else f"{factor:g} times the mean luminance"
     if _main_source(metric, image) is None:
         brightest = rounded(metric.efficacy * luminance(image).max().item())
-        remedy = "check the scene's units, or use "
-        remedy += f"a threshold factor of {FACTOR:g}" if factor is None else "a smaller threshold factor"
+        lower = f"a threshold factor of {FACTOR:g}" if factor is None else "a smaller threshold factor"
         return [
             advised(
                 f"no pixel is brighter than {limit} (the brightest: {brightest} cd/m²): nothing counts as a glare "
                 "source",
-                remedy,
+                "" if explained else f"check the scene's units, or use {lower}",
             )
         ]
     if note := near_threshold_note(metric, image):
