@@ -16,6 +16,7 @@ from seeds import shifted
 
 from extremes import fuzz, specimens
 from scenecaptum import SceneAttribution, SceneCaptumError, SceneRenderer, cli
+from scenecaptum.files import atomic_write
 from scenecaptum.scene import hashable_source, load_scene
 
 SENSOR = '<sensor type="perspective"/>'
@@ -104,6 +105,13 @@ def test_an_output_folder_of_an_impossible_name_is_one_clear_line(
     said = capsys.readouterr().err
     assert "cannot be written" in said
     assert said.count("\n") == 1
+
+
+def test_a_folder_of_the_name_of_a_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / "render.png").mkdir()
+    expected = pytest.raises(SceneCaptumError, match=r"render.png cannot be written: it is a folder")
+    with expected, atomic_write(tmp_path / "render.png") as partial:
+        partial.write_bytes(b"")
 
 
 # --- Pictures, meshes and volumes -----------------------------------------------------------------
