@@ -104,3 +104,15 @@ def test_materials_beyond_the_bits_of_a_number_get_a_batch_of_their_own(mi: Any)
     for names in found:
         in_order = [parameters[name].material for name in names]
         assert in_order == sorted(in_order, key=in_order.index)
+
+
+def test_copies_of_a_material_leave_the_names_of_its_textures(mi: Any, room: dict[str, Any]) -> None:
+    """Mitsuba names the objects of a dict after their keys, also those that are in the scene."""
+    color = {"type": "bitmap", "bitmap": mi.Bitmap(torch.full((4, 4, 3), 0.4).numpy()), "raw": True}
+    gloss = {"type": "principled", "base_color": {"type": "ref", "id": "wood"}}
+    scene = {"wood": color, **room, "gloss": {"type": "sphere", "bsdf": gloss}}
+    renderer = SceneRenderer(scene, spp=2)
+    inputs = {name: value.requires_grad_() for name, value in renderer.inputs.items()}
+    renderer(inputs, seed=1).mean().backward()
+    assert "wood.data" in list(mi.traverse(renderer._graph.scene).keys())
+    assert renderer.surfaces is not None

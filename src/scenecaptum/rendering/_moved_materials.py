@@ -41,8 +41,12 @@ class MaterialCopy:
         else:
             numbers = mi.traverse(material)
             arguments = {name: float(numbers[name][0]) for name in ("eta", "specular") if name in numbers}
-            arguments |= dict(children(material)) | {role: {"type": "uniform", "value": 0.5}}
+            shared = dict(children(material))
+            ids = {texture: texture.id() for texture in shared.values()}
+            arguments |= shared | {role: {"type": "uniform", "value": 0.5}}
             self.bsdf = mi.load_dict({"type": _PRINCIPLED[material.class_name()], **arguments})
+            for texture, identifier in ids.items():  # Mitsuba has named them after their keys in the dict
+                texture.set_id(identifier)
             self._key = f"{role}.value"
         self._parameters = mi.traverse(self.bsdf)
 
