@@ -559,16 +559,21 @@ def test_the_curve_ends_with_the_confirmed_value():
 
 
 @pytest.mark.parametrize("goal", [1.02, 0.98])
-def test_the_final_point_has_its_name_clear_of_the_goal(goal: float) -> None:
-    """Both where it was confirmed and where the goal was just missed."""
+@pytest.mark.parametrize("relaxed", [None, 0.3])
+def test_the_final_point_has_its_name_clear_of_the_goal(goal: float, relaxed: float | None) -> None:
+    """Both where it was confirmed and where the goal was just missed; by the definition in a second line."""
     found = optimize.minimize(Lamps(noise=0.0), torch.mean, 0.6, top=1)
-    figure = dataclasses.replace(found, below=goal * found.after.value).plot()
+    after = dataclasses.replace(found.after, relaxed=relaxed)
+    figure = dataclasses.replace(found, after=after, below=goal * found.after.value).plot()
     figure.canvas.draw()
     history = figure.axes[-1]
     (name,) = [text for text in history.texts if text.get_text().startswith(("confirmed", "measured again"))]
     line = history.transData.transform((0, goal * found.after.value))[1]
     drawn = name.get_window_extent()
     assert not drawn.y0 < line < drawn.y1
+    assert drawn.y0 > history.get_window_extent().y0
+    assert drawn.x1 < figure.bbox.x1
+    assert ("by the definition" in name.get_text()) == (relaxed is not None)
 
 
 def test_a_long_outcome_is_not_cut_off() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import torch
@@ -88,22 +89,28 @@ class _Parts:
         )
 
     def with_lamps(self, lamps: Mapping[str, SmallLamp], solid_angles: torch.Tensor) -> _Parts:
-        """Return the parts with those of lamps that are smaller than a pixel, of which few rays or none are."""
+        """Return the parts with those of lamps that are smaller than a pixel, of which few rays or none are.
+
+        A lamp may reach into the pixels around the one that shows it. Where it does not, they have no weight.
+        """
+        (height, width), size = solid_angles.shape, solid_angles.flatten().cpu().numpy()
         names = [*self.names, *(name for name in lamps if name not in self.names)]
-        index = np.array([names.index(name) for name in lamps], np.int64)
-        rows, columns = np.array([lamp.pixel for lamp in lamps.values()]).T
-        pixel = rows * solid_angles.shape[1] + columns
-        size = solid_angles.flatten().cpu().numpy()[pixel]
-        fraction = np.minimum(np.array([lamp.solid_angle for lamp in lamps.values()]) / size, 1.0)
-        # Its entries of a pixel that shows a lamp are replaced.
-        others = ~np.isin(self.name * solid_angles.numel() + self.pixel, index * solid_angles.numel() + pixel)
+        index, pixel, fraction = [], [], []
+        for name, lamp in lamps.items():
+            for row, column in product(*(range(max(0, at - 1), at + 2) for at in lamp.pixel)):
+                if row < height and column < width and size[row * width + column]:
+                    index.append(names.index(name))
+                    pixel.append(row * width + column)
+                    fraction.append(min(1.0, lamp.solid_angle / size[pixel[-1]]))
+        others = ~np.isin(self.name * len(size) + self.pixel, np.array(index) * len(size) + pixel)
         radiance = torch.stack([lamp.radiance for lamp in lamps.values()])[None]
+        luminance = relative_luminance(radiance)[0].tolist()
         return _Parts(
             names,
             np.concatenate([self.name[others], index]),
             np.concatenate([self.pixel[others], pixel]),
             np.concatenate([self.fraction[others], fraction]),
-            dict(zip(index.tolist(), relative_luminance(radiance)[0].tolist(), strict=True)),
+            {names.index(name): one for name, one in zip(lamps, luminance, strict=True)},
         )
 
     def by_name(self, weights: Floats) -> Floats:

@@ -200,18 +200,19 @@ class Optimization:
         end = (steps, self.after.value)
         history.plot(*end, "o", color=RAISES, markersize=5, clip_on=False)
         confirmed = "confirmed" if self.reached else "measured again"
-        confirmed += "" if self.after.relaxed is None else "\nby the definition"
+        is_relaxed = self.after.relaxed is not None
+        confirmed += "\nby the definition" if is_relaxed else ""
         # On the side of the point that is away from the line of the goal.
         align = "top" if self.after.value < self.below else "bottom"
         write_at(history, confirmed, end, (8, 0), va=align, fontsize=SMALL)
-        history.margins(y=0.12)
-        history.set_xlim(left=-0.02 * steps, right=1.17 * steps)
+        history.margins(y=0.25 if is_relaxed else 0.12)  # for two lines beside the point
+        history.set_xlim(left=-0.02 * steps, right=(1.22 if is_relaxed else 1.17) * steps)
         # Away from the curve's end, and from the axis below a goal that is missed.
         side = -9 if self.reached else 3
         write_at(
             history, "goal", (0, self.below), (3, side), xycoords=("axes fraction", "data"), fontsize=SMALL
         )
-        of_steps = self.metric if self.after.relaxed is None else f"{self.metric}, relaxed at the steps"
+        of_steps = f"{self.metric}, relaxed at the steps" if is_relaxed else self.metric
         # Not the last value of the curve, which lies beyond the goal.
         step = "step (the last one is shortened as far as the goal allows)" if self.reached else "step"
         style_axes(history, of_steps, x=step, size=TEXT)
