@@ -165,8 +165,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         of_value, other = picture, attribution.image
     shown = scenes.metric.transform(of_value)
     premises = photometric_premises(metric, of_value, value, error, shown, renderer)
-    lamps = renderer.small_lamps if isinstance(renderer, SceneRenderer) else {}
+    lamps = {}
     if isinstance(metric, GlareRating):
+        lamps = renderer.small_lamps if isinstance(renderer, SceneRenderer) else {}
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
             premises += _threshold_at(goal, scenes, metric, shown)
