@@ -265,7 +265,7 @@ def test_no_sign_is_called_known_that_the_interval_leaves_open(info: Any, is_cle
 def test_bars_draw_into_given_axes_and_names_are_not_formulas() -> None:
     from matplotlib.figure import Figure
 
-    figure = Figure()
+    figure = Figure(layout="constrained")
     axes = figure.subplots(1, 2)
     odd = dataclasses.replace(make(metric=r"$\oops{$"), labels={"lamp": r"$\frac{$"})
     assert plot_bars(odd, ax=axes[1]) is figure

@@ -850,6 +850,18 @@ def test_bars_that_the_texts_would_cover_are_refused(top: int | None) -> None:
     assert height > 0.1
 
 
+def test_axes_of_the_caller_that_are_too_low_or_cut_texts_off_warn() -> None:
+    from matplotlib.figure import Figure
+
+    with pytest.warns(UserWarning, match="too low for what they show"):
+        plot_bars(make(), ax=Figure(figsize=(7.0, 1.0)).add_subplot())
+    with pytest.warns(UserWarning, match="layout='constrained'"):
+        plot_bars(make(), ax=Figure(figsize=(7.0, 2.5)).add_subplot())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plot_bars(make(), ax=Figure(figsize=(7.0, 5.0), layout="constrained").add_subplot())
+
+
 @pytest.mark.parametrize("high", [0.12, 0.3, 0.6, 2.0, 30.0, 5e3, 1e6])
 def test_labels_of_a_logarithmic_axis_do_not_overlap(high: float) -> None:
     from scenecaptum.visualization import SMALL, log_axis, new_figure

@@ -28,6 +28,7 @@ from ._figures import (
     name_rows,
     new_figure,
     style_axes,
+    warn_if_cramped,
     write_at,
     write_header,
 )
@@ -83,7 +84,8 @@ def plot_bars(
     scale
         ``"range"`` (the default where ranges are known), ``"unit"`` or ``"value"``, as for ``ranking``.
     ax
-        Axes to draw into; by default those of a new figure.
+        Axes to draw into; by default those of a new figure. A warning says if they are too low for the
+        bars, or if texts end outside the figure.
     figsize
         Width and height of the new figure in inches; by default as high as the rows need.
 
@@ -103,6 +105,7 @@ def plot_bars(
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE), scale)
     axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
     footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
+    own = ax is None
     if ax is None:
         points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
         height = 0.7 + 1.4 * points / 72 + _BAR * max(len(rows), 2)
@@ -112,7 +115,9 @@ def plot_bars(
     draw_bars(ax, attribution, rows, scale=scale, name_width=_NAME_WIDTH)
     write_header(ax, title, handles=legend, size=TEXT)
     add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
-    if figsize is not None:
+    if not own:
+        warn_if_cramped(ax, _LEAST_BAR * len(rows))
+    elif figsize is not None:
         check_height(ax, _LEAST_BAR * len(rows))
     return figure_of(ax)
 

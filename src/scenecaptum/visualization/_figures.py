@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -86,6 +87,26 @@ def check_height(ax: Axes, least: float) -> None:
         raise SceneCaptumError(
             f"A figure of {width:g} × {height:g} inches is too low for its texts and what it shows: use at least "
             f"{math.ceil(10 * needed) / 10:g} of height, or a greater width, in which texts take fewer lines."
+        )
+
+
+def warn_if_cramped(ax: Axes, least: float) -> None:
+    """Warn if axes that a caller made are lower than ``least`` inches, or their texts end outside the figure."""
+    figure = figure_of(ax)
+    figure.draw_without_rendering()
+    height = ax.bbox.height / figure.dpi
+    if height < least:
+        warnings.warn(
+            f"These axes are {height:.1f} inches high, too low for what they show: its texts overlap below "
+            f"{math.ceil(10 * least) / 10:g} inches. Use a higher or wider figure, or fewer parameters (top=).",
+            stacklevel=4,
+        )
+        return
+    inside, needed = figure.bbox, ax.get_tightbbox()
+    if needed is not None and (needed.x0 < inside.x0 or needed.y0 < inside.y0 or needed.y1 > inside.y1):
+        warnings.warn(
+            "Texts end outside this figure: create it with layout='constrained', which makes room for them.",
+            stacklevel=4,
         )
 
 
