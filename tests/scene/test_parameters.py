@@ -14,7 +14,7 @@ from refusals import message
 from rooms import ball, small_scene, table
 
 from scenecaptum.designs import design_of
-from scenecaptum.scene import SceneParameters, discover_in, load_scene, select
+from scenecaptum.scene import SceneParameters, discover_in, load_scene, near_names, select
 from scenecaptum.scene._bounds import Bounds
 from scenecaptum.scene._selection import KINDS
 
@@ -479,6 +479,13 @@ def test_a_glob_without_a_match_is_told_only_what_matches(glob: str, meant: str)
     suggested = re.findall("'([^']*)'", hint.partition("?")[0])
     assert all(select(parameters, one) for one in suggested)
     assert meant in suggested if meant else not suggested
+
+
+@pytest.mark.parametrize("wrong", ["lamp[1]", "lamp[1].*"])
+def test_a_glob_that_is_suggested_for_an_id_with_brackets_matches_it(wrong: str) -> None:
+    name = "lamp[1].emitter.radiance.value"
+    (glob,) = re.findall("'([^']*)'", near_names(wrong, [name, "floor.reflectance.value"]))
+    assert fnmatchcase(name, glob)
 
 
 def test_a_kind_without_parameters_is_named(mi: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
+from glob import escape
 from typing import TypeAlias
 
 from ..errors import SceneCaptumError, near_misses
@@ -139,9 +140,9 @@ def near_names(item: str, known: Sequence[str], kinds: Sequence[str] = ()) -> st
     if (kind := f"{item.lower()}s") in kinds:
         return f" Did you mean {kind!r}?"
     if any(name.startswith(f"{item}.") for name in known):
-        return f" Did you mean '{item}.*'?"
+        return f" Did you mean '{escape(item)}.*'?"
     rest = item.partition(".")[2]
-    globs = {f"{name.partition('.')[0]}.{rest}" for name in known} if "*" in rest else set[str]()
+    globs = {f"{escape(name.partition('.')[0])}.{rest}" for name in known} if "*" in rest else set[str]()
     matching = [glob for glob in sorted(globs) if any(_selects(glob, name) for name in known)]
     return near_misses(item, matching, instead=near_misses(item, [*kinds, *known]))
 
