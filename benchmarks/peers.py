@@ -1084,7 +1084,7 @@ def draw_costs(ax: Any, results: Results, metric: str) -> None:
 def draw_renders(ax: Any, results: Results, metric: str) -> None:
     """Draw the renders until the top is stable."""
     kinds = {"gradient": "local", "DGSM": "dgsm", "Morris": "morris", "Sobol": "sobol"}
-    styles = (("o-", "#0072B2"), ("s-", "#56B4E9"), ("D--", "#E69F00"), ("^--", "#000000"))
+    styles = (("o-", "#0072B2"), ("s-", "#56B4E9"), ("D--", "#E69F00"), ("^--", "#8C8C8C"))
     counts = [count for name, count in results.sampled if name == metric]
     for (label, attribute), (style, colour) in zip(kinds.items(), styles, strict=True):
         methods = [getattr(results.sampled[metric, count], attribute) for count in counts]
