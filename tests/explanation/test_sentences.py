@@ -141,6 +141,13 @@ def test_a_change_within_its_noise_is_not_said_but_named_as_unknown():
     said = lines(Explanation(rated(24.8, 0.05), changes=(change(-0.03),)))
     assert "What would change it" not in said
     assert any("within its noise" in line for line in said["Too noisy to say"])
+    unclear = dataclasses.replace(change(-8.0, 4.0), exact=17.6, exact_error=1.4)
+    both = Explanation(
+        rated(20.06, 0.06), changes=(unclear,), definition=Definition(20.0, "within 22", error=0.4)
+    )
+    assert lines(both)["Too noisy to say"][0].endswith(
+        "UGR 20 → 18, by −2.4 ± 1.4 (relaxed: −8 ± 4 rendered, −0.700 ± 0.010 predicted): within its noise"
+    )
 
 
 def test_effects_and_shares_within_their_noise_are_not_said():

@@ -862,6 +862,40 @@ def test_axes_of_the_caller_that_are_too_low_or_cut_texts_off_warn() -> None:
         plot_bars(make(), ax=Figure(figsize=(7.0, 5.0), layout="constrained").add_subplot())
 
 
+@pytest.mark.parametrize("plot", [plot_bars, plot_heatmap, plot_overlay])
+def test_captions_are_left_to_the_text_around_the_figure(plot) -> None:
+    from matplotlib.figure import Figure
+
+    def titles(figure: Figure) -> list[str]:
+        return [ax.get_title(side) for ax in figure.axes for side in ("left", "center")]
+
+    page = Figure(figsize=(7.0, 3.0), layout="constrained")
+    own, other = page.subplots(1, 2)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert plot(make(), ax=own, captions=False) is page
+        plot_bars(make(), ax=other, captions=False)
+    assert not any(titles(page))
+    figure = plot(make(), captions=False)
+    assert not any(text.get_text() for text in figure.texts)
+    assert {*titles(figure)} <= {"", "render", "render, denoised"}
+    assert "VanillaSceneGradient" in all_text(plot(make()))
+    assert "VanillaSceneGradient" not in all_text(figure)
+
+
+@pytest.mark.parametrize("ratios", [(1, 1), (3, 1)])
+def test_the_title_of_a_map_in_a_column_of_a_page_stays_in_it(ratios: tuple[int, int]) -> None:
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=(9.0, 4.0), layout="constrained")
+    left, right = page.subplots(1, 2, width_ratios=ratios)
+    plot_bars(make(), ax=left)
+    plot_heatmap(make(), ax=right, signed=True)
+    page.draw_without_rendering()
+    title = right.title.get_window_extent()
+    assert left.bbox.x1 < title.x0 < title.x1 <= page.bbox.x1
+
+
 @pytest.mark.parametrize("high", [0.12, 0.3, 0.6, 2.0, 30.0, 5e3, 1e6])
 def test_labels_of_a_logarithmic_axis_do_not_overlap(high: float) -> None:
     from scenecaptum.visualization import SMALL, log_axis, new_figure

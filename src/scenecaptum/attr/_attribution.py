@@ -294,14 +294,16 @@ class SceneAttribution(AttributionData):
         ax: Axes | None = None,
         scale: Scale | None = None,
         figsize: tuple[float, float] | None = None,
+        captions: bool = True,
     ) -> Figure:
         """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given.
 
         ``scale`` is as for ``ranking``, ``figsize`` the width and height of the figure in inches.
+        ``captions=False`` leaves out the title and the notes.
         """
         from ..visualization import plot_bars
 
-        return plot_bars(self, top=top, scale=scale, ax=ax, figsize=figsize)
+        return plot_bars(self, top=top, scale=scale, ax=ax, figsize=figsize, captions=captions)
 
     def explain(self, count: int = DEFAULT_EFFECTS) -> Explanation:
         """Return what the result says in sentences: the verdict, and the first ``count`` effects.

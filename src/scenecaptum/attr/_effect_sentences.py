@@ -35,8 +35,6 @@ from ._wording import (
     effect_in_words,
     in_words,
     number_of_effect,
-    signed,
-    step,
     unit_of_effect,
 )
 
@@ -60,12 +58,15 @@ class EffectSentences:
         The number of effects that are stated; with 0, nothing is said.
     saturated
         Why a share of points has no effect at all, if it has none; else empty.
+    unclear_changes
+        Lines on the changes whose effects are within their noise.
     """
 
     attribution: Attribution
     changes: tuple[Change, ...]
     count: int
     saturated: str
+    unclear_changes: tuple[str, ...]
 
     def lines(self) -> list[str]:
         """Return the effects that are clear, each with its marks, and what these mean."""
@@ -196,12 +197,7 @@ class EffectSentences:
             if all(row.effect == 0 for row in self.attribution.ranking()):
                 return []
             return ["which effects are due to noise: there are no error bars"]
-        lines = [
-            f"{step(change)}: rendered again, the effect of "
-            f"{signed(change.measured or 0.0, change.measured_error)} is within its noise"
-            for change in self.changes
-            if not change.is_clear
-        ]
+        lines = [*self.unclear_changes]
         clear, unclear = self._clear_and_unclear
         if not clear and self.saturated:
             return lines

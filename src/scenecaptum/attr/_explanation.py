@@ -89,7 +89,10 @@ class Explanation:
         of_glare = f"{GLARE_SOURCES}: shares of the relaxed rating" if self.definition else GLARE_SOURCES
         is_glare = any(source.luminance is not None for source in self.sources)
         depends_on = axis_label(self.attribution, width=None, is_relaxed=self.definition is not None)
-        effects = EffectSentences(self.attribution, self.changes, self.count, self._saturated())
+        unclear = tuple(
+            f"{self._change_line(one)}: within its noise" for one in self.changes if not one.is_clear
+        )
+        effects = EffectSentences(self.attribution, self.changes, self.count, self._saturated(), unclear)
         sections = [
             (
                 ": ".join(filter(None, [self.headline(), self.rating()])),

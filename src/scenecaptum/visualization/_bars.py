@@ -25,6 +25,7 @@ from ._figures import (
     figure_of,
     figure_title,
     first,
+    legend_lines,
     name_rows,
     new_figure,
     style_axes,
@@ -55,6 +56,8 @@ if TYPE_CHECKING:
 _HATCH = "////"
 _NAME_WIDTH = 36
 _MAX_NAMES = 6
+_LONGEST = 80  # characters of a line of the legend
+_LEGEND_PATCH = 0.4  # inches, before the text of each entry
 _BAR, _LEAST_BAR = 0.21, 0.13  # inches of each bar: by default, and at least
 
 
@@ -65,6 +68,7 @@ def plot_bars(
     ax: Axes | None = None,
     scale: Scale | None = None,
     figsize: tuple[float, float] | None = None,
+    captions: bool = True,
 ) -> Figure:
     """Plot the ranking as horizontal bars of effects with standard errors, the largest on top.
 
@@ -88,6 +92,9 @@ def plot_bars(
         bars, or if texts end outside the figure.
     figsize
         Width and height of the new figure in inches; by default as high as the rows need.
+    captions
+        Write the finding and the value above the bars, and the notes below them. False leaves this to the text
+        around the figure, and takes less room.
 
     Raises
     ------
@@ -98,16 +105,20 @@ def plot_bars(
         check_width(figsize)
     rows = first(attribution.ranking(scale=scale), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
-    legend = bar_legend(attribution, rows, scale)
     # Up to a third of the width is for the names.
     full = WIDTH if figsize is None else figsize[0]
-    width = 0.67 * full if ax is None else 0.85 * ax.get_position().width * figure_of(ax).get_figwidth()
-    title = figure_title(attribution, characters_per_line(0.88 * width, TITLE), scale)
+    width = 0.67 * full if ax is None else 0.85 * ax.bbox.width / figure_of(ax).dpi
+    longest = _LONGEST if ax is None else characters_per_line(width - _LEGEND_PATCH, TEXT)
+    legend = bar_legend(attribution, rows, scale, longest)
+    title = figure_title(attribution, characters_per_line(0.88 * width, TITLE), scale) if captions else ""
     axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
-    footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
+    footnotes = []
+    if captions:
+        footnotes = _footnotes(attribution, rows, scale, cautions, characters_per_line(width, SMALL))
     own = ax is None
     if ax is None:
-        points = TITLE * len(title.splitlines()) + TEXT * (len(legend) + len(axis)) + SMALL * len(footnotes)
+        points = TITLE * len(title.splitlines()) + TEXT * (legend_lines(legend) + len(axis))
+        points += SMALL * len(footnotes)
         height = 0.7 + 1.4 * points / 72 + _BAR * max(len(rows), 2)
         ax = new_figure(*(figsize or (WIDTH, height))).add_subplot()
 
@@ -184,8 +195,13 @@ def _inaccurate(attribution: Attribution, rows: Iterable[RankedParameter]) -> li
     return [row.name in cautions for row in rows]
 
 
-def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None) -> list[Any]:
-    """Return legend entries for the colours of these rows' bars; bars of length 0 have none."""
+def bar_legend(
+    attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None, width: int = _LONGEST
+) -> list[Any]:
+    """Return legend entries for the colours of these rows' bars; bars of length 0 have none.
+
+    Their texts have lines of at most ``width`` characters.
+    """
     from matplotlib.patches import Patch
 
     labels, signed = sign_labels(attribution), _is_signed(attribution, scale)
@@ -203,6 +219,8 @@ def bar_legend(attribution: Attribution, rows: Sequence[RankedParameter], scale:
         entries.append(
             Patch(facecolor=UNCLEAR, edgecolor="white", hatch=_HATCH, label="! known to be inaccurate")
         )
+    for entry in entries:
+        entry.set_label("\n".join(wrapped_lines(str(entry.get_label()), width)))
     return entries
 
 

@@ -98,14 +98,17 @@ def warn_if_cramped(ax: Axes, least: float) -> None:
     if height < least:
         warnings.warn(
             f"These axes are {height:.1f} inches high, too low for what they show: its texts overlap below "
-            f"{math.ceil(10 * least) / 10:g} inches. Use a higher or wider figure, or fewer parameters (top=).",
+            f"{math.ceil(10 * least) / 10:g} inches. Use a larger figure, captions=False, or a smaller top=.",
             stacklevel=4,
         )
         return
     inside, needed = figure.bbox, ax.get_tightbbox()
-    if needed is not None and (needed.x0 < inside.x0 or needed.y0 < inside.y0 or needed.y1 > inside.y1):
+    if needed is not None and (
+        min(needed.x0 - inside.x0, needed.y0 - inside.y0, inside.x1 - needed.x1, inside.y1 - needed.y1) < 0
+    ):
         warnings.warn(
-            "Texts end outside this figure: create it with layout='constrained', which makes room for them.",
+            "Texts end outside this figure: create it with layout='constrained', which makes room for them, use a "
+            "larger one, or leave the title and the notes out with captions=False.",
             stacklevel=4,
         )
 
@@ -223,8 +226,13 @@ def write_header(
             fontsize=size,
             frameon=False,
         )
-    lines = -(-len(entries) // columns)
+    lines = -(-legend_lines(entries) // columns)
     ax.set_title(title, loc="left", fontsize=TITLE, pad=8 + 1.5 * size * lines, parse_math=False)
+
+
+def legend_lines(entries: Sequence[Any]) -> int:
+    """Return the number of lines of all entries of a legend."""
+    return sum(1 + str(entry.get_label()).count("\n") for entry in entries)
 
 
 def write_at(

@@ -35,6 +35,7 @@ from ._figures import (
     figure_of,
     figure_title,
     new_figure,
+    warn_if_cramped,
 )
 from ._layout import wrapped_lines
 from ._notes import (
@@ -71,6 +72,7 @@ if TYPE_CHECKING:
 
 _NORMS = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
+_LEAST_MAP = 0.5  # height of a map in the axes of a caller, in inches
 _MOST_UNSEEN = 3  # rank of a parameter that is named where no pixel shows it
 _NEGLIGIBLE = 0.01  # relative to the largest effect: not counted there
 DEFAULT_SIZE = (WIDTH, 4.0)  # the largest width of a figure and height of an image
@@ -86,6 +88,7 @@ def plot_heatmap(
     norm: MapNorm = DEFAULT_NORM,
     denoised: bool = False,
     figsize: tuple[float, float] = DEFAULT_SIZE,
+    captions: bool = True,
     **options: Any,
 ) -> Figure:
     """Plot the render and the saliency map side by side.
@@ -104,6 +107,9 @@ def plot_heatmap(
         Show the render denoised, for the eye, even if the metric was evaluated on the render itself.
     figsize
         Largest width of the new figure and largest height of its images, in inches.
+    captions
+        Write what the map shows above it and, in a new figure, the finding and the notes. False leaves this to
+        the text around the figure.
     options
         Other options of ``projection.heatmap``: ``parameter``, ``scale``, ``decades``, ``maximum``, ``texels``,
         ``surfaces``.
@@ -116,19 +122,21 @@ def plot_heatmap(
     """
     check_width(figsize)
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
-    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 2, figsize))
-    bar = None
-    if ax is None:
+    texts = _map_texts(attribution, signed, norm, options) if captions else []
+    drawn, bar = ax, None
+    if drawn is None:
         denoised = denoised or is_denoised(attribution)
         render = _displayed_render(attribution, denoised=denoised)
-        left, ax, bar = _panels(attribution, heat, 2, figsize, title, options, "in white" if signed else None)
+        unclear = "in white" if signed else None
+        left, drawn, bar = _panels(attribution, heat, 2, figsize, texts, options, unclear)
         left.imshow(render)
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
-    mapped = draw_map(ax, heat, signed=signed)
-    draw_arrows(ax, attribution)
-    ax.set_title(title, fontsize=TEXT, parse_math=False)
-    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
-    return figure_of(ax)
+    mapped = draw_map(drawn, heat, signed=signed)
+    draw_arrows(drawn, attribution)
+    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=drawn, cax=bar)
+    if ax is not None:
+        _write_above(ax, texts)
+    return figure_of(drawn)
 
 
 def plot_overlay(
@@ -139,6 +147,7 @@ def plot_overlay(
     signed: bool = False,
     norm: MapNorm = DEFAULT_NORM,
     figsize: tuple[float, float] = DEFAULT_SIZE,
+    captions: bool = True,
     **options: Any,
 ) -> Figure:
     """Plot the saliency map as an overlay on the grey render.
@@ -151,7 +160,7 @@ def plot_overlay(
         Axes to draw into; by default those of a new figure.
     alpha
         Opacity of the map at its maximum, between 0 and 1; it decreases with the saliency.
-    signed, norm, figsize, options
+    signed, norm, figsize, captions, options
         As for ``plot_heatmap``.
 
     Raises
@@ -163,14 +172,16 @@ def plot_overlay(
     if not 0 <= alpha <= 1:
         raise SceneCaptumError(f"alpha must be between 0 and 1, not {alpha!r}.")
     heat = heatmap(attribution, signed=signed, norm=norm, **options)
-    title = _map_title(attribution, signed, norm, options, _width(ax, heat, 1, figsize))
-    bar = None
-    if ax is None:
-        ax, bar = _panels(attribution, heat, 1, figsize, title, options, "without colour" if signed else None)
-    ax.set_title(title, fontsize=TEXT, parse_math=False)
-    mapped = draw_overlay(ax, attribution, heat, signed=signed, alpha=alpha)
-    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=ax, cax=bar)
-    return figure_of(ax)
+    texts = _map_texts(attribution, signed, norm, options) if captions else []
+    drawn, bar = ax, None
+    if drawn is None:
+        unclear = "without colour" if signed else None
+        drawn, bar = _panels(attribution, heat, 1, figsize, texts, options, unclear)
+    mapped = draw_overlay(drawn, attribution, heat, signed=signed, alpha=alpha)
+    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=drawn, cax=bar)
+    if ax is not None:
+        _write_above(ax, texts)
+    return figure_of(drawn)
 
 
 def draw_overlay(
@@ -259,13 +270,11 @@ def _displayed_render(attribution: Attribution, *, denoised: bool) -> np.ndarray
     return pixels
 
 
-def _map_title(
-    attribution: Attribution, signed: bool, norm: MapNorm, options: dict[str, Any], width: float
-) -> str:
+def _map_texts(attribution: Attribution, signed: bool, norm: MapNorm, options: dict[str, Any]) -> list[str]:
     """Return what a map shows: the quantity, relative to which value, and the meaning of its colours."""
     scale: Scale | None = options.get("scale")
     if not any(row.saliency for row in attribution.ranking(scale=scale)):
-        return note_of_none(attribution)
+        return [note_of_none(attribution)]
     names, maximum = _selected(options), options.get("maximum")
     selected = shorten([", ".join(attribution.labels.get(name, name) for name in names)], 60)[0]
     quantity = axis_label(attribution, scale, metric="the metric")
@@ -283,7 +292,40 @@ def _map_title(
         lines.append(TEXEL_MEANING)
     if signed:
         lines.append(color_meanings(attribution))
-    return "\n".join(part for line in lines for part in wrapped_lines(line, characters_per_line(width, TEXT)))
+    return lines
+
+
+def _lines(texts: Sequence[str], width: float) -> list[str]:
+    """Return the lines of texts above a map, of a width in inches."""
+    return [line for text in texts for line in wrapped_lines(text, characters_per_line(width, TEXT))]
+
+
+def _write_lines(ax: Axes, lines: Sequence[str]) -> None:
+    ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False)
+
+
+def _write_above(ax: Axes, texts: Sequence[str]) -> None:
+    """Write texts above a map in a caller's axes, as wide as their column of the figure, centred on the map."""
+    figure_of(ax).draw_without_rendering()  # the layout moves the axes
+    left, right = _column(ax)
+    center = (ax.bbox.x0 + ax.bbox.x1) / 2
+    _write_lines(ax, _lines(texts, 2 * min(center - left, right - center) / figure_of(ax).dpi))
+    warn_if_cramped(ax, _LEAST_MAP)
+
+
+def _column(ax: Axes) -> tuple[float, float]:
+    """Return where the column of axes in their figure or subfigure begins and ends, in dots."""
+    part: Any = ax.figure
+    spec = ax.get_subplotspec()
+    if spec is None:
+        return float(ax.bbox.x0), float(ax.bbox.x1)
+    outer: Any = spec.get_topmost_subplotspec()
+    _, _, lefts, rights = outer.get_gridspec().get_grid_positions(part)
+    # Stretched over the full width, as a layout does.
+    first, width = lefts[0], rights[-1] - lefts[0]
+    begin, end = lefts[outer.colspan.start] - first, rights[outer.colspan.stop - 1] - first
+    x0, total = part.bbox.x0, part.bbox.width
+    return x0 + begin / width * total, x0 + end / width * total
 
 
 def _largest(attribution: Attribution, scale: Scale | None, is_selection: bool) -> str:
@@ -301,10 +343,8 @@ def _largest(attribution: Attribution, scale: Scale | None, is_selection: bool) 
     return f"the largest, that of {shorten([first.label], 40)[0]}, which no pixel shows"
 
 
-def _width(ax: Axes | None, heat: torch.Tensor, count: int, limits: tuple[float, float]) -> float:
+def _width(heat: torch.Tensor, count: int, limits: tuple[float, float]) -> float:
     """Return the width of an image in inches, limited by the width of the figure and the height of an image."""
-    if ax is not None:
-        return float(ax.get_position().width) * figure_of(ax).get_figwidth()
     height, width = heat.shape
     available = (limits[0] - 2 * _MARGIN - _COLORBAR - _TICK_LABELS) / count - _GAP
     return min(available, limits[1] * width / height)
@@ -315,21 +355,45 @@ def _panels(
     heat: torch.Tensor,
     count: int,
     limits: tuple[float, float],
-    heading: str,
+    texts: Sequence[str],
     options: dict[str, Any],
     unclear: str | None,
 ) -> list[Axes]:
     """Create axes for ``count`` images of one size and for a colour bar of their height; lengths are in inches.
 
-    ``unclear`` is how a signed map shows the objects whose sign is lost in the noise: over a dark render no grey
-    tells them.
+    ``texts`` stand above the last image; without any, the figure has no finding and no notes either. ``unclear``
+    is how a signed map shows the objects whose sign is lost in the noise: over a dark render no grey tells them.
     """
-    scale: Scale | None = options.get("scale")
-    w = _width(None, heat, count, limits)
+    w = _width(heat, count, limits)
     h = w * heat.shape[0] / heat.shape[1]
     width = 2 * _MARGIN + count * (w + _GAP) + _COLORBAR + _TICK_LABELS
+    title, notes = _finding_and_notes(attribution, options, unclear, width - 0.2) if texts else ("", [])
+    heading = _lines(texts, w)
+    bottom = 0.12 + 0.14 * len(notes)
+    top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * max(len(heading), count - 1)
+    height = bottom + h + top
+    figure = new_figure(width, height, layout="none")
+    figure.text(_MARGIN / width, 1 - 0.1 / height, title, va="top", fontsize=TITLE, parse_math=False)
+    style: dict[str, Any] = {"va": "bottom", "fontsize": SMALL, "parse_math": False}
+    figure.text(_MARGIN / width, 0.08 / height, "\n".join(notes), **style)
+
+    def add_axes(x: float, extent: float) -> Axes:
+        return figure.add_axes((x / width, bottom / height, extent / width, h / height))
+
+    images = [add_axes(_MARGIN + index * (w + _GAP), w) for index in range(count)]
+    for axes in images:
+        axes.set_axis_off()
+    _write_lines(images[-1], heading)
+    return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
+
+
+def _finding_and_notes(
+    attribution: Attribution, options: dict[str, Any], unclear: str | None, width: float
+) -> tuple[str, list[str]]:
+    """Return the title of a figure of maps, and its notes in lines of a width in inches."""
+    scale: Scale | None = options.get("scale")
     texels = bool(options.get("texels"))
-    title = figure_title(attribution, characters_per_line(width - 0.2, TITLE), scale, texels=texels)
+    title = figure_title(attribution, characters_per_line(width, TITLE), scale, texels=texels)
     pointing = "arrows: where moving an object raises the metric most" if arrows(attribution) else ""
     notes = [
         _invisible_note(attribution, scale),
@@ -340,7 +404,7 @@ def _panels(
         *noise_notes(attribution),
         *gradient_notes(attribution),
     ]
-    line_length, mapped = characters_per_line(width - 0.2, SMALL), _mapped(attribution, options)
+    line_length, mapped = characters_per_line(width, SMALL), _mapped(attribution, options)
     aside = "~ " if "~" in title else ""  # objects have no marks, only a title may name one
     packed = [
         *pack([note for note in notes if note], line_length),
@@ -349,22 +413,7 @@ def _panels(
         *jump_notes(attribution, mapped),
         *(f"{aside}{note}" for note in range_notes(attribution, scale)),
     ]
-    caption = [line for note in packed for line in wrapped_lines(note, line_length, 4)]
-    bottom = 0.12 + 0.14 * len(caption)
-    top = 0.2 + 0.17 * len(title.splitlines()) + 0.14 * len(heading.splitlines())
-    height = bottom + h + top
-    figure = new_figure(width, height, layout="none")
-    figure.text(_MARGIN / width, 1 - 0.1 / height, title, va="top", fontsize=TITLE, parse_math=False)
-    style: dict[str, Any] = {"va": "bottom", "fontsize": SMALL, "parse_math": False}
-    figure.text(_MARGIN / width, 0.08 / height, "\n".join(caption), **style)
-
-    def add_axes(x: float, extent: float) -> Axes:
-        return figure.add_axes((x / width, bottom / height, extent / width, h / height))
-
-    images = [add_axes(_MARGIN + index * (w + _GAP), w) for index in range(count)]
-    for axes in images:
-        axes.set_axis_off()
-    return [*images, add_axes(_MARGIN + count * (w + _GAP), _COLORBAR)]
+    return title, [line for note in packed for line in wrapped_lines(note, line_length, 4)]
 
 
 def _selected(options: dict[str, Any]) -> Sequence[str]:
