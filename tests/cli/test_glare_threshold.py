@@ -21,6 +21,9 @@ def test_a_rating_near_its_threshold_is_stated_by_the_definition(tmp_path, capsy
     printed = " ".join(capsys.readouterr().out.split())
     relaxed = "this rating is relaxed near the threshold; the value by the definition has no error bar here"
     assert relaxed in printed
+    assert "relaxed unified glare rating =" in printed
+    written = (tmp_path / "b" / "attribution.csv").read_text()
+    assert ",relaxed unified glare rating," in written
     assert "`scenecaptum explain` states the value by the definition with its error bar" in printed
     # What to run is for who runs it, and not for the readers of the page.
     page = (tmp_path / "b" / "report.html").read_text()

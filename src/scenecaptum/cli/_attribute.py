@@ -306,7 +306,8 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
 def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttribution:
     """Return a result with the cautions on its value, those among ``more`` notes too.
 
-    If it has a value by the definition, it is called relaxed, with what that other value means.
+    If it has a value by the definition, or differs from that, it is called relaxed; with what that other value
+    means, if this is known.
     """
     attribution = said.attribution
     assert isinstance(attribution, SceneAttribution), "it is what _explained was given"
@@ -315,6 +316,8 @@ def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttributi
         # The relaxed value is in no class.
         measure = {**info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
         info |= {"measure": measure, "verdict": said.rating()}
+    elif RELAXED in said.premises:
+        info["measure"] = {**info["measure"], "name": f"relaxed {metric_name(attribution)}"}
     return dataclasses.replace(attribution, info=info)
 
 
