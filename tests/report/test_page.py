@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import html
+import io
 import json
 import re
 from pathlib import Path
@@ -185,6 +187,13 @@ def test_the_headline_is_the_value_by_the_definition_with_the_weather(browser, t
     effect = "first-order change of relaxed Glare over the range of the parameter"
     for part in ("#notes", "#caption"):  # the caption begins with it
         assert effect in page.page.locator(part).inner_text().replace("First", "first")
+    with page.page.expect_download() as download:
+        page.page.locator("#csv").click()
+    first = next(csv.DictReader(io.StringIO(Path(download.value.path()).read_text(), newline="")))
+    assert (first["metric"], float(first["metric_value"])) == (
+        "relaxed Glare",
+        pytest.approx(2.3369, rel=1e-4),
+    )
     page.check(path)
     page.context.close()
 

@@ -298,6 +298,8 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     notes = photometric_premises(metric, image, value, error, shown, renderer)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
         notes += (RELAXED,)
+        measure = {**attribution.info["measure"], "name": f"relaxed {metric_name(attribution)}"}
+        attribution = dataclasses.replace(attribution, info={**attribution.info, "measure": measure})
     if not notes and definition is None:
         return None
     return Explanation(attribution, premises=(*notes, *more), count=0, definition=definition)
@@ -306,8 +308,7 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
 def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttribution:
     """Return a result with the cautions on its value, those among ``more`` notes too.
 
-    If it has a value by the definition, or differs from that, it is called relaxed; with what that other value
-    means, if this is known.
+    If it has a value by the definition, it is called relaxed, with what that other value means.
     """
     attribution = said.attribution
     assert isinstance(attribution, SceneAttribution), "it is what _explained was given"
@@ -316,8 +317,6 @@ def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttributi
         # The relaxed value is in no class.
         measure = {**info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
         info |= {"measure": measure, "verdict": said.rating()}
-    elif RELAXED in said.premises:
-        info["measure"] = {**info["measure"], "name": f"relaxed {metric_name(attribution)}"}
     return dataclasses.replace(attribution, info=info)
 
 

@@ -259,9 +259,12 @@ def _result(
     mapped = [[index for index in rows if index in colored] for rows in object_rows]
     saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in mapped]
     sums = [clear_sum(attribution, [ranking[index] for index in rows]) for rows in mapped]
+    is_relaxed = explanation is not None and explanation.definition is not None
     return {
         "title": title,
         "metric": metric_name(attribution),
+        # The headline may state the value by the definition; files have the one that is attributed.
+        "valueOf": f"relaxed {metric_name(attribution)}" if is_relaxed else metric_name(attribution),
         "unit": metric_unit(attribution),
         "verdict": rating(attribution) if explanation is None else explanation.rating(),
         "premises": [] if explanation is None else _premises(explanation),
@@ -272,7 +275,8 @@ def _result(
         if explanation is None
         else [(heading, findings(lines)) for heading, lines in explanation.sections()[1:]],
         "quantity": attribution.kind.value,
-        "axis": _axis(attribution, explanation),
+        # The effects are those of the relaxed metric, too.
+        "axis": axis_label(attribution, width=None, is_relaxed=is_relaxed),
         "signs": sign_labels(attribution),
         "value": _number(attribution.metric_value),
         "error": _number(attribution.metric_standard_error),
@@ -334,12 +338,6 @@ def _without_advice(info: Mapping[str, Any]) -> dict[str, Any]:
         for key, value in info.items()
         if key != "advice"
     }
-
-
-def _axis(attribution: Attribution, explanation: Explanation | None) -> str:
-    """Return what the effects are: those of the relaxed metric, where the one by the definition is stated."""
-    is_relaxed = explanation is not None and explanation.definition is not None
-    return axis_label(attribution, width=None, is_relaxed=is_relaxed)
 
 
 def _effect_unit(attribution: Attribution) -> str:

@@ -443,7 +443,7 @@ function csvText() {
   ];
   const lines = results.flatMap((one) => one.rows.map((row, index) => [
     one.title, index + 1, row.name, row.label, row.effect ?? "", row.effectError ?? "", ...padded(row.total, channels), ...padded(row.totalError, channels),
-    ...padded(row.value, values), ...padded(row.range, ranges), row.inDoubt ?? "", one.metric, one.value, one.error ?? "", one.unit, one.caution ?? "",
+    ...padded(row.value, values), ...padded(row.range, ranges), row.inDoubt ?? "", one.valueOf, one.value, one.error ?? "", one.unit, one.caution ?? "",
   ]));
   const cell = (one) => (/[",\r\n]/.test(String(one)) ? `"${String(one).replaceAll('"', '""')}"` : String(one));
   return `${[head, ...lines].map((line) => line.map(cell).join(",")).join("\r\n")}\r\n`;
@@ -452,7 +452,7 @@ function csvText() {
 function jsonText() {
   const numbers = results.map((one) => ({
     title: one.title,
-    metric: { name: one.metric, unit: one.unit, value: one.value, standard_error: one.error, caution: one.caution },
+    metric: { name: one.valueOf, unit: one.unit, value: one.value, standard_error: one.error, caution: one.caution },
     quantity: one.quantity,
     ranking: one.rows.map((row, index) => ({
       rank: index + 1, name: row.name, label: row.label, value: row.value ?? null, range: row.range, effect: row.effect, effect_error: row.effectError,
