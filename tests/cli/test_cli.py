@@ -148,6 +148,18 @@ def test_a_command_says_that_the_scene_asks_for_another_depth(tmp_path, recwarn,
     assert [str(one.message) for one in recwarn] == notes
 
 
+@pytest.mark.parametrize(
+    ("rfilter", "option", "warns"),
+    [("tent", ["--denoise"], True), ("box", ["--denoise"], False), ("tent", [], False)],
+)
+def test_a_denoised_picture_warns_of_a_filter_that_spreads_noise(tmp_path, recwarn, rfilter, option, warns):
+    scene = tmp_path / "open.xml"
+    scene.write_text(OPEN.replace("</film>", f'<rfilter type="{rfilter}"/></film>'))
+    command = ["render", str(scene), "-D", "spp=1", "-D", "size=8", "--max-depth", "2", *option]
+    assert cli.main([*command, "--to", str(tmp_path / "picture.png")]) == 0
+    assert any("it spreads noise over pixels" in str(one.message) for one in recwarn) == warns
+
+
 @pytest.mark.parametrize("sensor", ["0", "fisheye"])
 def test_glare_is_rated_for_the_selected_camera(tmp_path, capsys, sensor):
     out = tmp_path / "out"

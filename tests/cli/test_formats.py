@@ -151,6 +151,7 @@ def test_numbers_have_values_ranges_and_what_puts_a_row_in_doubt(tmp_path: Path)
     with (tmp_path / "a.csv").open(newline="") as file:
         rows = {row["name"]: row for row in csv.DictReader(file)}
     assert numbers["metric"]["unit"] == rows["floor"]["metric_unit"] == "cd/m²"
+    assert numbers["metric"]["measure"] == rows["floor"]["metric"]
     for one in numbers["ranking"]:
         doubt = "! it is biased" if one["name"] == "floor" else None
         assert one["caution"] == doubt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from ..denoising import denoise
 from ..errors import SceneCaptumError
 from ..files import write_error
 from ..projection import export
+from ..rendering import SceneRenderer
 from ..visualization import save_render
 from . import _arguments
 from ._design import add_design, designed_values
@@ -53,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
         values = designed_values(options, renderer) or {}
         image = renderer(values, seed=options.seed)
     if options.denoise:
+        _warn_of_filter(renderer)
         image = denoise(image, renderer.guides_of(values))
     try:
         options.to.parent.mkdir(parents=True, exist_ok=True)
@@ -64,3 +67,10 @@ def run(options: argparse.Namespace) -> int:
         export(image, options.to)
     print(options.to)
     return 0
+
+
+def _warn_of_filter(renderer: SceneRenderer) -> None:
+    """Warn that a film filter spreads noise over pixels, where the denoiser cannot tell it from the scene."""
+    for decision, reason in renderer.plan.reasons:
+        if decision.startswith("film filter "):
+            warnings.warn(f"{decision}, {reason}", stacklevel=2)
