@@ -299,7 +299,7 @@ class SceneAttribution(AttributionData):
         """Draw the effects of the first ``top`` parameters, or all, as bars with errors, into ``ax`` if given.
 
         ``scale`` is as for ``ranking``, ``figsize`` the width and height of the figure in inches.
-        ``captions=False`` leaves out the title and the notes.
+        ``captions`` is whether the title and the notes are written.
         """
         from ..visualization import plot_bars
 
