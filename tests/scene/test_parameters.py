@@ -427,6 +427,21 @@ def test_the_id_of_a_material_in_no_name_is_told_what_its_parameters_are_called(
     assert len(select(parameters, "cube.bsdf.*")) > 1
 
 
+def test_a_hint_for_an_id_with_brackets_is_a_glob_that_matches_it(mi: Any) -> None:
+    paint = {"type": "diffuse", "id": "paint"}
+    scene = {"type": "scene", "camera": {"type": "perspective"}, "cube[2]": {"type": "cube", "bsdf": paint}}
+    parameters = discover_in(scene)
+    said = message(lambda: select(parameters, "paint"))
+    (glob,) = re.findall(r"The parameters of 'paint' are '(.*)'\.", said)
+    assert len(select(parameters, glob)) == 1
+
+
+def test_the_radiance_of_a_shape_whose_material_is_shared_is_told_its_own_name() -> None:
+    said = message(lambda: select(discover_in("office"), "sky.radiance.value"))
+    assert "Did you mean 'sky.emitter.radiance.value'" in said
+    assert "The material of" not in said
+
+
 @pytest.mark.parametrize(
     ("inputs", "meant"),
     [

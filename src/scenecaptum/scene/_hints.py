@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from glob import escape
 from typing import Any
 
 from ..errors import near_misses
@@ -44,7 +45,7 @@ def _material_hint(parameters: Parameters, owner: str) -> str:
     first = names[0].rpartition(".")[0]
     while first and not all(name.startswith(f"{first}.") for name in names):
         first = first.rpartition(".")[0]
-    return f" The parameters of {wanted!r} are '{first}.*'." if first else ""
+    return f" The parameters of {wanted!r} are '{escape(first)}.*'." if first else ""
 
 
 def _shape_hint(parameters: Parameters, item: str) -> str:
@@ -54,6 +55,9 @@ def _shape_hint(parameters: Parameters, item: str) -> str:
     materials = dict.fromkeys(name.partition(".")[0] for name in found)
     if not materials or shape in materials or not rest or "pose" in rest:
         return ""
-    listed = ", ".join(f"'{material}.*'" for material in materials)
+    own = {part for name in parameters if name.startswith(f"{shape}.") for part in name.split(".")[1:-1]}
+    if own.intersection(rest.split(".")):
+        return ""  # a parameter of the shape itself, such as the radiance of its light
+    listed = ", ".join(f"'{escape(material)}.*'" for material in materials)
     meant = f"{next(iter(materials))}.{rest.removeprefix('bsdf.')}"
     return f" The material of {shape!r} is {listed}.{near_misses(meant, found)}"

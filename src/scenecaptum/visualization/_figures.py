@@ -94,11 +94,13 @@ def warn_if_cramped(ax: Axes, least: float) -> None:
     """Warn if axes that a caller made are lower than ``least`` inches, or their texts end outside the figure."""
     figure = figure_of(ax)
     figure.draw_without_rendering()
+    figure.draw_without_rendering()  # a layout with many texts needs two passes
     height = ax.bbox.height / figure.dpi
     if height < least:
         warnings.warn(
-            f"These axes are {height:.1f} inches high, too low for what they show: its texts overlap below "
-            f"{math.ceil(10 * least) / 10:g} inches. Use a larger figure, captions=False, or a smaller top=.",
+            f"These axes are {math.floor(10 * height) / 10:g} inches high, too low for what they show: its texts "
+            f"overlap below {math.ceil(10 * least) / 10:g} inches. Use a larger figure, captions=False, or a "
+            "smaller top=.",
             stacklevel=4,
         )
         return
