@@ -223,7 +223,7 @@ def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> di
     attribution, goal, definition = explanation.attribution, explanation.goal, explanation.definition
     return {
         "metric": {
-            "name": metric_name(attribution),
+            "name": metric_name(attribution) if definition is None else f"relaxed {metric_name(attribution)}",
             "unit": metric_unit(attribution),
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
