@@ -22,6 +22,7 @@ def test_a_rating_near_its_threshold_is_stated_by_the_definition(tmp_path, capsy
     relaxed = "this rating is relaxed near the threshold; the value by the definition has no error bar here"
     assert relaxed in printed
     assert "relaxed unified glare rating =" in printed
+    assert "the limit for" not in printed.partition("relaxed; by the definition")[0]  # no class is stated
     written = (tmp_path / "b" / "attribution.csv").read_text()
     assert ",relaxed unified glare rating," in written
     assert "`scenecaptum explain` states the value by the definition with its error bar" in printed

@@ -15,7 +15,7 @@ from ..attr import GROUPS, METHODS, AttributionInterrupted, Definition, Explanat
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
 from ..explanation import definition_of, photometric_premises, rated_image, states_definition
-from ..metrics import GlareRating
+from ..metrics import NO_SOURCE, GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
 from ..report import json_text, write_report
@@ -298,11 +298,21 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     notes = photometric_premises(metric, image, value, error, shown, renderer)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
         notes += (RELAXED,)
-        measure = {**attribution.info["measure"], "name": f"relaxed {metric_name(attribution)}"}
-        attribution = dataclasses.replace(attribution, info={**attribution.info, "measure": measure})
+        attribution = _called_relaxed(attribution)
     if not notes and definition is None:
         return None
     return Explanation(attribution, premises=(*notes, *more), count=0, definition=definition)
+
+
+def _called_relaxed(attribution: SceneAttribution) -> SceneAttribution:
+    """Return a glare rating that may differ from that by the definition, under its name and without a class."""
+    info = attribution.info
+    measure = {**info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
+    has_class = not info["relaxed"] and info["verdict"] != NO_SOURCE
+    verdict = "" if has_class else info["verdict"]
+    return dataclasses.replace(
+        attribution, info={**info, "measure": measure, "relaxed": True, "verdict": verdict}
+    )
 
 
 def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttribution:

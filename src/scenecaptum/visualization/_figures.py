@@ -93,8 +93,10 @@ def check_height(ax: Axes, least: float) -> None:
 def warn_if_cramped(ax: Axes, least: float) -> None:
     """Warn if axes that a caller made are lower than ``least`` inches, or their texts end outside the figure."""
     figure = figure_of(ax)
-    figure.draw_without_rendering()
-    figure.draw_without_rendering()  # a layout with many texts needs two passes
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of a layout that gives up: those below say what to do
+        for _ in range(2):  # with many texts, a layout needs two passes
+            figure.draw_without_rendering()
     height = ax.bbox.height / figure.dpi
     if height < least:
         warnings.warn(
