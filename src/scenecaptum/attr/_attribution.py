@@ -208,7 +208,7 @@ class SceneAttribution(AttributionData):
             raise SceneCaptumError(
                 "to_dataframe() needs pandas: pip install 'scenecaptum[frames]'"
             ) from error
-        from ..visualization import metric_name, metric_unit, row_cautions
+        from ..visualization import attributed_name, metric_unit, row_cautions
 
         frame = pandas.DataFrame(self.ranking(scale=scale), columns=Ranked._fields)
         cautions = row_cautions(self, scale)
@@ -222,7 +222,7 @@ class SceneAttribution(AttributionData):
             caution=[cautions.get(name, "") for name in frame["name"]],
         )
         frame.attrs = {
-            "metric": metric_name(self),
+            "metric": attributed_name(self),
             "metric_value": self.metric_value,
             "metric_error": self.metric_standard_error,
             "metric_unit": metric_unit(self),

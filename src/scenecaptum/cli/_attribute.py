@@ -305,14 +305,11 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
 
 
 def _called_relaxed(attribution: SceneAttribution) -> SceneAttribution:
-    """Return a glare rating that may differ from that by the definition, under its name and without a class."""
+    """Return a glare rating that may differ from that by the definition without a class, which may differ, too."""
     info = attribution.info
-    measure = {**info["measure"], "name": f"relaxed {metric_name(attribution)}", "limits": []}
     has_class = not info["relaxed"] and info["verdict"] != NO_SOURCE
     verdict = "" if has_class else info["verdict"]
-    return dataclasses.replace(
-        attribution, info={**info, "measure": measure, "relaxed": True, "verdict": verdict}
-    )
+    return dataclasses.replace(attribution, info={**info, "relaxed": True, "verdict": verdict})
 
 
 def _with_what_is_said(said: Explanation, more: Sequence[str]) -> SceneAttribution:

@@ -32,6 +32,7 @@ from ..visualization import (
     UNCLEAR,
     Format,
     arrows,
+    attributed_name,
     automatic_exposure,
     axis_label,
     baseline_notes,
@@ -264,7 +265,7 @@ def _result(
         "title": title,
         "metric": metric_name(attribution),
         # The headline may state the value by the definition; files have the one that is attributed.
-        "valueOf": f"relaxed {metric_name(attribution)}" if is_relaxed else metric_name(attribution),
+        "valueOf": f"relaxed {metric_name(attribution)}" if is_relaxed else attributed_name(attribution),
         "unit": metric_unit(attribution),
         "verdict": rating(attribution) if explanation is None else explanation.rating(),
         "premises": [] if explanation is None else _premises(explanation),

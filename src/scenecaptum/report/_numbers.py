@@ -12,7 +12,7 @@ import torch
 
 from ..attr import SceneAttribution
 from ..files import atomic_write
-from ..visualization import metric_name, metric_unit, row_cautions
+from ..visualization import attributed_name, metric_unit, row_cautions
 from ._data import metric_caution, plain
 
 # Of the numbers of a row, those of which each channel has a column in CSV.
@@ -44,7 +44,9 @@ def json_text(attribution: SceneAttribution) -> str:
     numbers = {
         "metric": {
             "name": info["metric"],
-            "measure": metric_name(attribution),  # called relaxed where the value by the definition differs
+            "measure": attributed_name(
+                attribution
+            ),  # called relaxed where the value by the definition differs
             "unit": metric_unit(attribution),
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
@@ -91,7 +93,7 @@ def write_csv(attribution: SceneAttribution, path: str | os.PathLike[str]) -> No
     counts = {column: max((len(row[column] or ()) for row in rows), default=0) for column in _LISTS}
     counts["total_error"] = counts["total"]  # empty where a result has no error bars
     of_metric = {
-        "metric": metric_name(attribution),
+        "metric": attributed_name(attribution),
         "metric_value": attribution.metric_value,
         "metric_error": attribution.metric_standard_error,
         "metric_unit": metric_unit(attribution),

@@ -105,6 +105,7 @@ from ._table import table_text as table_text
 from ._text import CAUTION as CAUTION
 from ._text import TEXEL_MEANING as TEXEL_MEANING
 from ._text import advised as advised
+from ._text import attributed_name as attributed_name
 from ._text import axis_label as axis_label
 from ._text import cautions_among as cautions_among
 from ._text import class_doubt as class_doubt

@@ -171,10 +171,9 @@ def figure_title(
 
 
 def value_line(attribution: Attribution) -> str:
-    """Return the metric's name and value, and that this is relaxed where the definition has another class."""
-    line = metric_line(attribution, FINDING_WIDTH)
-    is_named = line.startswith("relaxed ")
-    return f"{line}, relaxed" if attribution.info.get("relaxed") and not is_named else line
+    """Return the metric's name and value, and that this is relaxed where that by the definition may differ."""
+    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""
+    return f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}"
 
 
 def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:

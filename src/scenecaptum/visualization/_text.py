@@ -79,6 +79,12 @@ def metric_symbol(attribution: Attribution) -> str:
     return str(_measure(attribution).get("symbol") or metric_name(attribution))
 
 
+def attributed_name(attribution: Attribution) -> str:
+    """Return the metric's name, called relaxed where the value by the definition may be another one."""
+    name = metric_name(attribution)
+    return f"relaxed {name}" if attribution.info.get("relaxed") else name
+
+
 def metric_unit(attribution: Attribution) -> str:
     """Return the metric's unit; empty if it has none, or none is known."""
     return str(_measure(attribution).get("unit") or "")
