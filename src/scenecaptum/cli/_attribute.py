@@ -305,7 +305,7 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
 
 
 def _called_relaxed(attribution: SceneAttribution) -> SceneAttribution:
-    """Return a glare rating that may differ from that by the definition without a class, which may differ, too."""
+    """Return a relaxed glare rating without its class: the rating by the definition may be in another one."""
     info = attribution.info
     has_class = not info["relaxed"] and info["verdict"] != NO_SOURCE
     verdict = "" if has_class else info["verdict"]

@@ -44,9 +44,7 @@ def json_text(attribution: SceneAttribution) -> str:
     numbers = {
         "metric": {
             "name": info["metric"],
-            "measure": attributed_name(
-                attribution
-            ),  # called relaxed where the value by the definition differs
+            "measure": attributed_name(attribution),
             "unit": metric_unit(attribution),
             "value": attribution.metric_value,
             "standard_error": attribution.metric_standard_error,
