@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +209,19 @@ def test_points_inside_furniture_are_left_out(mi: Any) -> None:
     picture = renderer(seed=1)
     assert (picture[~renderer.grid.inside] == 0).all()
     assert (picture[renderer.grid.inside] > 0).all()
+
+
+@pytest.mark.parametrize(("height", "is_noted"), [(0.5, False), (0.8, True)])
+def test_points_right_below_a_table_top_count_with_a_warning(mi: Any, height: float, is_noted: bool) -> None:
+    scene = box(mi)
+    top = mi.ScalarTransform4f().translate([-1, 0, 0.85]).scale([0.5, 0.5, 0.01])
+    scene["top"] = {"type": "cube", "to_world": top}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        renderer = SceneRenderer(scene, "emitters", sensor=SensorGrid(height=height, spacing=0.5))
+    assert renderer.grid.inside.all()
+    shown = [str(one.message) for one in caught]
+    assert any(re.match(r"4 of \d+ points .* 0.04 m below it", message) for message in shown) is is_noted
 
 
 @pytest.mark.parametrize(("sides", "under_the_sky"), [((2, 2), 0), ((2, 1), 8)])

@@ -329,6 +329,19 @@ def test_table_says_that_the_scale_of_a_map_is_the_effect_of_its_light() -> None
     assert "every texel" not in table_text(result, scale="unit")
 
 
+@pytest.mark.parametrize(("of_scale", "is_shared"), [(0.5, True), (0.0, False)])
+def test_table_says_that_a_map_and_its_scale_share_what_their_light_contributes(
+    of_scale: float, is_shared: bool
+) -> None:
+    sky = {"sky.data": torch.ones(2, 3, 3), "sky.scale": torch.tensor(of_scale)}
+    values = {"sky.data": torch.ones(3), "sky.scale": torch.tensor(1.0)}
+    result = dataclasses.replace(
+        make(barred=False, quantity="contribution"), attributions=sky, parameter_values=values, extents={}
+    )
+    note = "~  sky.data; sky.scale: one light, whose contribution is the sum of both"
+    assert (note in table_text(result).splitlines()) is is_shared
+
+
 def test_table_says_that_a_bump_map_has_no_effect_whatever_its_texels_do() -> None:
     bump = {"wall.bsdf.nested_texture.data": torch.zeros(2, 3, 1), "wall.bsdf.scale": torch.tensor(1.0)}
     result = dataclasses.replace(

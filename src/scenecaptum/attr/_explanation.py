@@ -255,7 +255,7 @@ class Explanation:
         )
         *names, last = [row_name(row) for row in self.rows if row in deciding]
         if 2 * len(deciding) > len(self.rows) > 1:
-            finding = f"no few of them: {len(deciding)} of {len(self.rows)} have {share}"
+            finding = f"most of them: {len(deciding)} of {len(self.rows)} have {share}"
         else:
             named = " and ".join(filter(None, [", ".join(names), last]))
             finding = f"{named} {'decide' if names else 'decides'}: {share}"

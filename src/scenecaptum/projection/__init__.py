@@ -12,6 +12,7 @@ __all__ = [
 ]
 
 from ._export import export as export
+from ._light_maps import SHARES as SHARES
 from ._light_maps import TEXTURE_NDIM as TEXTURE_NDIM
 from ._light_maps import light_maps_left_out as light_maps_left_out
 from ._pixels import ProjectedPixels as ProjectedPixels

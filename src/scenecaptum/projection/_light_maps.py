@@ -10,7 +10,7 @@ from ..protocols import ResultKind
 
 TEXTURE_NDIM = 3
 # Quantities that add up: a change is divided among the parameters that make it together.
-_SHARES = {ResultKind.CONTRIBUTION, ResultKind.SHAPLEY_VALUE}
+SHARES = {ResultKind.CONTRIBUTION, ResultKind.SHAPLEY_VALUE}
 
 
 def light_maps_left_out(kind: ResultKind, attributions: Mapping[str, torch.Tensor]) -> dict[str, str]:
@@ -18,7 +18,7 @@ def light_maps_left_out(kind: ResultKind, attributions: Mapping[str, torch.Tenso
 
     There are none if the ``kind`` is of effects that share a change, as contributions do.
     """
-    if kind in _SHARES:
+    if kind in SHARES:
         return {}
     maps = [name for name, value in attributions.items() if value.ndim == TEXTURE_NDIM]
     scales = {name: f"{name.rpartition('.')[0]}.scale" for name in maps}

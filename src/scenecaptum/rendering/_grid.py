@@ -30,6 +30,7 @@ RAY_OFFSET = (
 )  # of a point from its surface, relative to 1 + its largest coordinate, as in Mitsuba
 PROBES = 64  # rays from each point that tell whether it is inside an object
 MOST_BACK_FACES = 0.9  # of the probes of a point in the open
+LEAST_ROOM = 0.15  # above a point, relative to its height: under a table top, say, nobody works
 
 
 def place_grid(grid: SensorGrid, scene: Any) -> GridPoints:
@@ -164,8 +165,23 @@ def _open_points(points: GridPoints, scene: Any) -> GridPoints:
         )
     inside = inside & ~hidden
     above, _ = _rays(scene, positions[inside], points.normals[inside])
-    open_above = int((~np.array(above.is_valid())).sum())
-    return dataclasses.replace(points, inside=inside, open_above=open_above)
+    is_covered = np.array(above.is_valid())
+    room = torch.full(inside.shape, math.inf, dtype=torch.float64)
+    room[inside] = torch.from_numpy(np.where(is_covered, np.array(above.t), math.inf)).double()
+    _warn_of_narrow_gaps(positions, room, points.above)
+    return dataclasses.replace(points, inside=inside, open_above=int((~is_covered).sum()))
+
+
+def _warn_of_narrow_gaps(positions: torch.Tensor, room: torch.Tensor, height: float) -> None:
+    """Warn of points right below a surface, such as a table top, given the ``room`` above each."""
+    below = room < LEAST_ROOM * height
+    if below.any():
+        warnings.warn(
+            f"{_count(below)} of the sensor grid lie right below a surface that blocks their light, such as a "
+            f"table top, and count: the first at {_place(positions, below)}, {float(room[below][0]):.2g} m "
+            f"below it. Choose another height= than {height:g} m.",
+            stacklevel=2,
+        )
 
 
 def _centres(low: Array, high: Array, spacing: float | None) -> list[Array]:

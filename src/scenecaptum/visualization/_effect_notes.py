@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 
-from ..projection import light_maps_left_out
+from ..projection import SHARES, light_maps_left_out
 from ..protocols import Attribution, RankedParameter, ResultKind, Scale
 from ..student import clear_from
 from ._layout import first_few
@@ -30,7 +30,9 @@ def range_notes(
     Each has the parameters that it is about. ``among`` are the parameters that are shown, by default all.
     """
     shown = [name for name in attribution if among is None or name in among]
-    notes = _alone_notes(attribution, shown) | _group_notes(attribution)
+    notes = (
+        _alone_notes(attribution, shown) | _group_notes(attribution) | _shared_light_notes(attribution, shown)
+    )
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
         notes |= {
             **_map_notes(attribution, shown),
@@ -110,6 +112,19 @@ def _map_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
             of_light = f"{labels.get(scale, scale)}: for all of its light"
             notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]
     return notes
+
+
+def _shared_light_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on each map of light that shares what the light contributes with its scale."""
+    if attribution.kind not in SHARES:
+        return {}
+    contributions = {name: attribution[name] for name in attribution}
+    labels = {name: attribution.labels.get(name, name) for name in attribution}
+    return {
+        f"{labels[name]}; {labels[scale]}: one light, whose contribution is the sum of both": [name, scale]
+        for name, scale in light_maps_left_out(ResultKind.EFFECT, contributions).items()
+        if {name, scale} & set(shown) and contributions[name].any() and contributions[scale].any()
+    }
 
 
 def _bump_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:

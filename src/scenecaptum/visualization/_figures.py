@@ -110,9 +110,11 @@ def warn_if_cramped(ax: Axes, least: float) -> None:
     if needed is not None and (
         min(needed.x0 - inside.x0, needed.y0 - inside.y0, inside.x1 - needed.x1, inside.y1 - needed.y1) < 0
     ):
+        has_layout = figure.get_layout_engine() is not None
+        first = "" if has_layout else "create it with layout='constrained', which makes room for them, "
         warnings.warn(
-            "Texts end outside this figure: create it with layout='constrained', which makes room for them, use a "
-            "larger one, or leave the title and the notes out with captions=False.",
+            f"Texts end outside this figure: {first}use a larger one, or leave the title and the notes out with "
+            "captions=False.",
             stacklevel=4,
         )
 
@@ -166,14 +168,8 @@ def figure_title(
 
     ``texels`` is whether the figure shows single texels.
     """
-    lines = (finding(attribution, scale, texels=texels), value_line(attribution))
+    lines = (finding(attribution, scale, texels=texels), metric_line(attribution, FINDING_WIDTH))
     return "\n".join(part for line in lines for part in wrapped_lines(line, width))
-
-
-def value_line(attribution: Attribution) -> str:
-    """Return the metric's name and value, and that this is relaxed where that by the definition may differ."""
-    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""
-    return f"{metric_line(attribution, FINDING_WIDTH)}{relaxed}"
 
 
 def style_axes(ax: Axes, title: str = "", *, x: str = "", y: str = "", size: float = TITLE) -> None:

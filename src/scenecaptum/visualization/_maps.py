@@ -301,7 +301,8 @@ def _lines(texts: Sequence[str], width: float) -> list[str]:
 
 
 def _write_lines(ax: Axes, lines: Sequence[str]) -> None:
-    ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False)
+    # Panels that are drawn later may move the axes towards the edge of the figure.
+    ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False, wrap=True)
 
 
 def _write_above(ax: Axes, texts: Sequence[str]) -> None:

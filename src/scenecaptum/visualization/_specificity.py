@@ -19,13 +19,12 @@ from ._figures import (
     first,
     new_figure,
     style_axes,
-    value_line,
 )
 from ._finding import finding
 from ._layout import wrap, wrapped_lines
 from ._maps import draw_colorbar, draw_map
 from ._notes import caution_groups, convergence_notes, doubt_notes, gradient_notes, jump_notes, noise_notes
-from ._text import FINDING_WIDTH, axis_label, method_name, metric_name, with_unit_of_effects
+from ._text import FINDING_WIDTH, axis_label, method_name, metric_line, metric_name, with_unit_of_effects
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure, SubFigure
@@ -174,7 +173,7 @@ def _cautions(attribution: Attribution, rows: Sequence[RankedParameter]) -> list
 
 def _titles(attributions: Sequence[Attribution], scale: Scale | None) -> tuple[list[str], list[str]]:
     """Return the lines of a common heading, which names the metric if all columns share it, and their titles."""
-    heading, values = "", list(map(value_line, attributions))
+    heading, values = "", [metric_line(one, FINDING_WIDTH) for one in attributions]
     columns = [[finding(one, scale), value] for one, value in zip(attributions, values, strict=True)]
     if len(attributions) > 1 and len(set(map(metric_name, attributions))) == 1:
         found = [finding(one, scale, metric="the metric") for one in attributions]

@@ -58,14 +58,16 @@ def cautions_among(notes: Iterable[str]) -> list[str]:
 def metric_line(attribution: Attribution, width: int | None = None) -> str:
     """Return ``'mean luminance = 2.337 ± 0.005 cd/m²'``, with the name shortened to ``width``.
 
-    Of two metrics in different units it has no number, which would mean nothing.
+    It says that a value is relaxed where that by the definition may differ. Of two metrics in different units it
+    has no number, which would mean nothing.
     """
     if units := attribution.info.get("units"):
         first, second = (one or "a number without a unit" for one in units)
         return f"{metric_name(attribution, width)}, of different units ({first} and {second})"
     value = format_with_error(attribution.metric_value, attribution.metric_standard_error)
     unit = metric_unit(attribution)
-    return f"{metric_name(attribution, width)} = {value}{f' {unit}' if unit else ''}"
+    relaxed = ", relaxed" if attribution.info.get("relaxed") else ""
+    return f"{metric_name(attribution, width)} = {value}{f' {unit}' if unit else ''}{relaxed}"
 
 
 def metric_name(attribution: Attribution, width: int | None = None) -> str:
