@@ -183,6 +183,7 @@ def test_large_errors_of_a_metric_of_the_user_advise_to_smooth_it() -> None:
     assert "Smoothed" not in str(VanillaSceneGradient(renderer, lambda image: image.mean()).attribute(seed=0))
 
 
+@pytest.mark.long
 def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None:
     """Noise of a third of that of the smoothing hardly biases the logit; at a few samples the class is another."""
     renderer = SceneRenderer("cornell-box", inputs="short_box*", resolution=(16, 16), spp=16, max_depth=3)

@@ -230,7 +230,7 @@ def test_results_carry_the_caution(radiator):
 @pytest.mark.parametrize(
     ("name", "least", "bsdf"),
     [
-        ("alpha", 1e-4, {"type": "roughconductor", "material": "Al"}),
+        pytest.param("alpha", 1e-4, {"type": "roughconductor", "material": "Al"}, marks=pytest.mark.long),
         ("roughness", 1e-3**0.5, {"type": "principled", "metallic": 1.0}),
     ],
 )

@@ -187,7 +187,7 @@ def test_kernels_stay_frozen_beside_a_scene_with_a_material_that_no_shape_uses(
     assert len(recorded) == before
 
 
-@pytest.mark.parametrize("name", ["metal.alpha.value", "glass.eta"])
+@pytest.mark.parametrize("name", [pytest.param("metal.alpha.value", marks=pytest.mark.long), "glass.eta"])
 def test_a_kernel_is_right_for_other_sample_counts_than_that_of_its_recording(mi: Any, name: str) -> None:
     """Dr.Jit guesses the sizes of arrays in a frozen function from those of the arguments."""
     scene = room("diffuse") | {

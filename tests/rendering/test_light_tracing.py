@@ -46,7 +46,12 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
 @pytest.mark.parametrize(
     ("ball", "changes", "spp"),
     [
-        (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 32),
+        pytest.param(
+            TWO_SIDED,
+            {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}},
+            32,
+            marks=pytest.mark.long,
+        ),
         pytest.param(FROSTED, {}, 128, marks=pytest.mark.long),
         pytest.param(LACQUER, {"camera": LENS}, 32, marks=pytest.mark.long),
         (METAL, {"floor": {"bsdf": POLISHED}}, 32),
@@ -85,7 +90,7 @@ UNEVEN = np.linspace(0.08, 0.3, 64, dtype=np.float32).reshape(8, 8, 1)
     ("plugin", "role", "texels", "inputs"),
     [
         pytest.param("roughconductor", "alpha", UNEVEN, "roughness", marks=pytest.mark.long),
-        ("roughdielectric", "alpha", UNEVEN.repeat(3, 2), "ball.*"),
+        pytest.param("roughdielectric", "alpha", UNEVEN.repeat(3, 2), "ball.*", marks=pytest.mark.long),
         ("principled", "roughness", np.full((1, 1, 1), 0.4, np.float32), "roughness"),
     ],
     ids=["metal", "frosted glass among other inputs", "principled, one texel"],
@@ -224,6 +229,7 @@ def test_the_plan_names_the_low_roughness_that_is_better_attributed_alone(
     assert renderer.replace(integrator="prb").plan.noisy_roughness == ()
 
 
+@pytest.mark.long
 def test_a_low_roughness_lit_by_a_lamp_has_a_smaller_error_alone(mi: Any) -> None:
     """What the plan claims."""
     box = mi.cornell_box()

@@ -159,10 +159,11 @@ def assert_agree_with_differences(renderer: SceneRenderer, steps: dict[str, floa
             {DENSITY: 0.1, "fog.bsdf.specular_transmittance.value": 0.05},
             256,
         ),
-        (
+        pytest.param(
             lambda mi: room(mi, homogeneous(3.0), sky=0),
             {"fog.interior_medium.phase_function.g": 0.05, "lamp.emitter.radiance.value": 1.0},
             256,
+            marks=pytest.mark.long,
         ),
         pytest.param(
             lambda mi: room(mi, smoke(mi, np.ones((2, 2, 2, 1))), ball=VEIL),
@@ -189,7 +190,7 @@ def test_derivatives_agree_with_differences(mi: Any, scene: Any, steps: dict[str
     [
         (lambda mi: room(mi, homogeneous(albedo=0.0)), ALBEDO, 0.02, 16),
         (lambda mi: room(mi, homogeneous(0.0), sky=0), DENSITY, 0.05, 256),
-        (lambda mi: room(mi, smoke(mi, half_empty())), GRID, 0.1, 256),
+        pytest.param(lambda mi: room(mi, smoke(mi, half_empty())), GRID, 0.1, 256, marks=pytest.mark.long),
     ],
     ids=["black fog", "clear fog", "half empty smoke"],
 )
