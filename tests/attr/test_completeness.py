@@ -19,7 +19,7 @@ from scenecaptum import (
     ShapleyValueScene,
     metrics,
 )
-from scenecaptum.attr._convergence import verdict
+from scenecaptum.attr._convergence import TOLERANCE, verdict
 from scenecaptum.visualization import table_text
 
 REPEATS = 12
@@ -165,6 +165,7 @@ def test_the_verdict_is_printed_with_its_reasons():
     assert "mostly noise" not in text
     added_up = dataclasses.replace(noisy, info={**noisy.info, "convergence": "adds up"})
     assert "use more samples" not in str(added_up)
+    assert f"adds up within {100 * TOLERANCE:g} %: delta −0.52 ± 0.31 of" in str(added_up)
 
 
 def test_completeness_is_undecided_if_the_metric_is_infinite_at_the_baseline():

@@ -13,6 +13,7 @@ from ._text import CAUTION, LARGE_ERROR, OF_DIFFERENCES, advised, hidden_of, plu
 
 _MAX_CAUTIONS = 5
 _ROUNDING = 1e-6  # relative to the explained difference
+_TOLERANCE = 5  # % of it, within which contributions add up
 
 
 def sampling_notes(attribution: Attribution) -> list[str]:
@@ -196,6 +197,8 @@ def convergence_notes(attribution: Attribution) -> list[str]:
         if attribution.kind is ResultKind.SHAPLEY_VALUE:
             return [f"adds up to {with_error(explained, error)[0]} by construction"]
         delta = 0.0
+    if verdict == "adds up":
+        verdict += f" within {_TOLERANCE:g} %"
     note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
     quadrature = attribution.info.get("quadrature_error")
     if error and quadrature and quadrature > error / 2:
