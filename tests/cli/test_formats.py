@@ -17,7 +17,9 @@ from matplotlib.figure import Figure
 from scenecaptum import SceneAttribution, cli
 from scenecaptum.cli._files import OutputFormat
 from scenecaptum.cli._formats import FORMATS, selected_formats
+from scenecaptum.cli._optimize import with_design_option
 from scenecaptum.denoising import denoise
+from scenecaptum.optimize import Measured, Optimization
 from scenecaptum.report import write_csv, write_json
 from scenecaptum.visualization import save_render
 
@@ -179,3 +181,12 @@ def test_demo_has_the_options_of_attribute() -> None:
         for arguments in (["demo"], ["attribute", "office", "--resolution", "320x180", "--spp", "64"])
     )
     assert demo == attribution
+
+
+@pytest.mark.parametrize(("value", "is_named"), [(0.5, True), (2.0, False)])
+def test_the_option_for_a_design_stands_beside_the_advice_to_rate_it_again(
+    value: float, is_named: bool, tmp_path: Path
+) -> None:
+    measured = Measured(value, 0.1, torch.zeros(2, 2, 3))
+    found = Optimization({}, (), measured, measured, (), below=1.0, metric="glare", note="what to do next")
+    assert ("--design" in with_design_option(found, tmp_path).note) is is_named

@@ -109,8 +109,8 @@ def plain_or_mean(value: torch.Tensor) -> Any:
 
 
 def with_design_option(found: Optimization, folder: Path) -> Optimization:
-    """Return a result whose note names the option that reads its design."""
-    option = f" (--design {folder / DESIGN})" if found.note else ""
+    """Return a result whose note on how to rate its design again names the option for that."""
+    option = f" (--design {folder / DESIGN})" if found.note and found.reached else ""
     return dataclasses.replace(found, note=f"{found.note}{option}")
 
 
