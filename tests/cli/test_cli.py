@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -146,6 +147,19 @@ def test_a_command_says_that_the_scene_asks_for_another_depth(tmp_path, recwarn,
     command = ["render", str(scene), "-D", "spp=1", "-D", "size=8", *option]
     assert cli.main([*command, "--to", str(tmp_path / "picture.png")]) == 0
     assert [str(one.message) for one in recwarn] == notes
+
+
+@pytest.mark.parametrize(("in_scene", "is_said"), [("12", True), ("6", False)])
+def test_a_page_says_which_light_is_missing(tmp_path: Path, in_scene: str, is_said: bool) -> None:
+    own = f'<integrator type="path"><integer name="max_depth" value="{in_scene}"/></integrator>'
+    scene = tmp_path / "deep.xml"
+    scene.write_text(OPEN.replace("<emitter", f"{own}<emitter"))
+    command = ["attribute", str(scene), "-D", "spp=4", "-D", "size=8", "--replicates", "2", "--no-progress"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the depth
+        assert cli.main([*command, "--report", "--out", str(tmp_path)]) == 0
+    note = "light of paths of more than 6 segments is missing; the scene asks for up to 12"
+    assert (note in (tmp_path / "report.html").read_text()) is is_said
 
 
 @pytest.mark.parametrize(

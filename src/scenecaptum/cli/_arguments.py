@@ -238,6 +238,15 @@ def _say_depth(renderer: SceneRenderer) -> None:
     warnings.warn(asked + consequence, stacklevel=3)
 
 
+def depth_premises(renderer: SceneRenderer) -> tuple[str, ...]:
+    """Return what a page says of light that the scene has and the picture leaves out, or nothing."""
+    own, used = renderer.plan.scene_depth, renderer.plan.max_depth
+    if own is None or used == -1 or 0 <= own <= used:
+        return ()
+    wanted = "any length" if own == -1 else f"up to {own}"
+    return (f"light of paths of more than {used} segments is missing; the scene asks for {wanted}",)
+
+
 def print_resumed(renderer: SceneRenderer) -> None:
     """Print how many replicates came from the checkpoint, if there is one."""
     if (checkpoint := renderer.checkpoint) is not None:

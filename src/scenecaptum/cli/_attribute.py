@@ -333,9 +333,13 @@ def _write_report(finished: Sequence[Finished], options: argparse.Namespace, ren
         return
     path = options.out / REPORT
     plans = [plan_of(one.image, renderer, metric, one.info) for one, metric, _ in finished]
+    missing = _arguments.depth_premises(renderer)
     shown: list[SceneAttribution | Explanation] = []
     for one in finished:
-        shown.append(_explained(one, renderer, premises(one.metric, options)) or one.attribution)
+        said = _explained(one, renderer, (*premises(one.metric, options), *missing))
+        if said is None and missing:
+            said = Explanation(one.attribution, premises=missing, count=0)
+        shown.append(said or one.attribution)
     write_report(shown, path, title=options.title, plans=plans, denoised=options.denoise != "off")
     if not options.json:
         print(f"{path}  interactive page with all results")

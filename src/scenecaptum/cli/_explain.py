@@ -123,7 +123,8 @@ def _write_report(
     """Write the page: the sentences, and if a goal was reached, the scene before and after on a slider."""
     # What is said of the goal belongs to its own card.
     own = tuple(text for text in explanation.premises if not text.startswith(f"{AT_THE_GOAL}: "))
-    results = [dataclasses.replace(explanation, premises=own)]
+    missing = _arguments.depth_premises(renderer)
+    results = [dataclasses.replace(explanation, premises=own + missing)]
     titles = comparison = None
     if (goal := explanation.goal) is not None and goal.reached and not goal.was_below:
         progress = _arguments.shows_progress(options)
@@ -135,7 +136,7 @@ def _write_report(
         shown = _with_value(reached, goal.after, TargetedMetric(metric, options.target), stated=stated)
         after = goal.after
         of_picture = photometric_premises(metric, after.image, after.value, after.error, renderer=renderer)
-        notes = of_picture + premises(metric, options) + grid_premises(renderer)
+        notes = of_picture + premises(metric, options) + grid_premises(renderer) + missing
         results.append(dataclasses.replace(shown, premises=notes))
         titles = ["as it is", f"below {goal.below:g}"]
         change = goal.after.value - goal.before.value
