@@ -221,7 +221,10 @@ def test_points_right_below_a_table_top_count_with_a_warning(mi: Any, height: fl
         renderer = SceneRenderer(scene, "emitters", sensor=SensorGrid(height=height, spacing=0.5))
     assert renderer.grid.inside.all()
     shown = [str(one.message) for one in caught]
-    assert any(re.match(r"4 of \d+ points .* 0.04 m below it", message) for message in shown) is is_noted
+    assert (
+        any(re.match(r"4 of \d+ points .* 0.04 m below it.* such as 0.90 m", message) for message in shown)
+        is is_noted
+    )
 
 
 @pytest.mark.parametrize(("sides", "under_the_sky"), [((2, 2), 0), ((2, 1), 8)])

@@ -857,6 +857,12 @@ def test_axes_of_the_caller_that_are_too_low_or_cut_texts_off_warn() -> None:
         plot_bars(make(), ax=Figure(figsize=(7.0, 1.0)).add_subplot())
     with pytest.warns(UserWarning, match="create it with layout='constrained'"):
         plot_bars(make(), ax=Figure(figsize=(7.0, 2.5)).add_subplot())
+    first, second = Figure(figsize=(7.0, 5.0), layout="constrained").subplots(2, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plot_bars(make(), ax=first)
+    with pytest.warns(UserWarning, match="too low for what they show"):  # the first, beside the second
+        plot_bars(make(), 1, ax=second)
     left, _ = Figure(figsize=(3.0, 3.5), layout="constrained").subplots(1, 2)
     with pytest.warns(UserWarning, match="outside this figure: use a larger one, or"):
         plot_bars(make(), ax=left)

@@ -338,7 +338,7 @@ def test_table_says_that_a_map_and_its_scale_share_what_their_light_contributes(
     result = dataclasses.replace(
         make(barred=False, quantity="contribution"), attributions=sky, parameter_values=values, extents={}
     )
-    note = "~  sky.data; sky.scale: one light, whose contribution is the sum of both"
+    note = "sky.data; sky.scale: one light, whose contribution is the sum of both"
     assert (note in table_text(result).splitlines()) is is_shared
 
 

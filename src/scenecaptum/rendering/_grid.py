@@ -30,6 +30,7 @@ RAY_OFFSET = (
 )  # of a point from its surface, relative to 1 + its largest coordinate, as in Mitsuba
 PROBES = 64  # rays from each point that tell whether it is inside an object
 MOST_BACK_FACES = 0.9  # of the probes of a point in the open
+RAISED_BY = 0.05  # m, from one height to the next that is tried above a table top
 LEAST_ROOM = 0.15  # above a point, relative to its height: under a table top, say, nobody works
 
 
@@ -168,20 +169,35 @@ def _open_points(points: GridPoints, scene: Any) -> GridPoints:
     is_covered = np.array(above.is_valid())
     room = torch.full(inside.shape, math.inf, dtype=torch.float64)
     room[inside] = torch.from_numpy(np.where(is_covered, np.array(above.t), math.inf)).double()
-    _warn_of_narrow_gaps(positions, room, points.above)
+    _warn_of_narrow_gaps(scene, positions, points.normals, room, points.above)
     return dataclasses.replace(points, inside=inside, open_above=int((~is_covered).sum()))
 
 
-def _warn_of_narrow_gaps(positions: torch.Tensor, room: torch.Tensor, height: float) -> None:
+def _warn_of_narrow_gaps(
+    scene: Any, positions: torch.Tensor, up: torch.Tensor, room: torch.Tensor, height: float
+) -> None:
     """Warn of points right below a surface, such as a table top, given the ``room`` above each."""
     below = room < LEAST_ROOM * height
-    if below.any():
-        warnings.warn(
-            f"{_count(below)} of the sensor grid lie right below a surface that blocks their light, such as a "
-            f"table top, and count: the first at {_place(positions, below)}, {float(room[below][0]):.2g} m "
-            f"below it. Choose another height= than {height:g} m.",
-            stacklevel=2,
-        )
+    if not below.any():
+        return
+    steps = [step * RAISED_BY for step in range(1, 1 + int(height / RAISED_BY))]
+    places, upward, least = positions[below], up[below], LEAST_ROOM * height
+    above = (one for one in steps if _is_open(scene, places + one * upward, upward, least))
+    step = next(above, None)
+    better = "" if step is None else f", such as {height + step:.2f} m"
+    warnings.warn(
+        f"{_count(below)} of the sensor grid lie right below a surface that blocks their light, such as a table "
+        f"top, and count: the first at {_place(positions, below)}, {float(room[below][0]):.2g} m below it. Choose "
+        f"another height= than {height:g} m{better}.",
+        stacklevel=2,
+    )
+
+
+def _is_open(scene: Any, positions: torch.Tensor, up: torch.Tensor, least: float) -> bool:
+    """Whether no point, ``(N, 3)``, is inside an object or has less than this room above it."""
+    above, _ = _rays(scene, positions, up)
+    is_low = np.array(above.is_valid()) & (np.array(above.t) < least)
+    return not is_low.any() and not _hidden(scene, positions[None]).any()
 
 
 def _centres(low: Array, high: Array, spacing: float | None) -> list[Array]:

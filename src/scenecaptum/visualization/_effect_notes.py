@@ -30,9 +30,7 @@ def range_notes(
     Each has the parameters that it is about. ``among`` are the parameters that are shown, by default all.
     """
     shown = [name for name in attribution if among is None or name in among]
-    notes = (
-        _alone_notes(attribution, shown) | _group_notes(attribution) | _shared_light_notes(attribution, shown)
-    )
+    notes = _alone_notes(attribution, shown) | _group_notes(attribution)
     if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
         notes |= {
             **_map_notes(attribution, shown),
@@ -50,7 +48,12 @@ def range_notes(
 def light_notes(
     attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
 ) -> list[str]:
-    """Return a note on the effects of lights, unless they are small or the metric is linear in the light."""
+    """Return a note on the effects of lights, unless they are small or the metric is linear in the light.
+
+    Of contributions it is on a light that has two rows.
+    """
+    if attribution.kind in SHARES:
+        return _shared_light_notes(attribution, [row.name for row in rows])
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if kind is not ResultKind.EFFECT or attribution.info.get("linear_in_light"):
         return []
@@ -114,17 +117,15 @@ def _map_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
     return notes
 
 
-def _shared_light_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+def _shared_light_notes(attribution: Attribution, shown: Collection[str]) -> list[str]:
     """Return a note on each map of light that shares what the light contributes with its scale."""
-    if attribution.kind not in SHARES:
-        return {}
     contributions = {name: attribution[name] for name in attribution}
     labels = {name: attribution.labels.get(name, name) for name in attribution}
-    return {
-        f"{labels[name]}; {labels[scale]}: one light, whose contribution is the sum of both": [name, scale]
+    return [
+        f"{labels[name]}; {labels[scale]}: one light, whose contribution is the sum of both"
         for name, scale in light_maps_left_out(ResultKind.EFFECT, contributions).items()
         if {name, scale} & set(shown) and contributions[name].any() and contributions[scale].any()
-    }
+    ]
 
 
 def _bump_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:

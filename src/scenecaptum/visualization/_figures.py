@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from weakref import WeakKeyDictionary
 
 from ..errors import SceneCaptumError, whole_number
 from ..protocols import Attribution, RankedParameter, Scale
@@ -44,6 +45,7 @@ _LOG_STEPS = (
     (3.0, (1.0, 3.0)),
 )
 _CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
+_least_heights: WeakKeyDictionary[Axes, float] = WeakKeyDictionary()  # in inches, of the axes of callers
 
 
 class Label(NamedTuple):
@@ -91,25 +93,28 @@ def check_height(ax: Axes, least: float) -> None:
 
 
 def warn_if_cramped(ax: Axes, least: float) -> None:
-    """Warn if axes that a caller made are lower than ``least`` inches, or their texts end outside the figure."""
+    """Warn if axes that a caller made are lower than ``least`` inches, or their texts end outside the figure.
+
+    All axes of the figure that were drawn into before are looked at, too: what is drawn now makes them smaller.
+    """
     figure = figure_of(ax)
+    _least_heights[ax] = least
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of a layout that gives up: those below say what to do
         for _ in range(2):  # with many texts, a layout needs two passes
             figure.draw_without_rendering()
-    height = ax.bbox.height / figure.dpi
-    if height < least:
+    drawn = [one for one in figure.axes if one in _least_heights]
+    heights = {one: one.bbox.height / figure.dpi for one in drawn}
+    lowest = min(drawn, key=lambda one: heights[one] / _least_heights[one])
+    height, needed = heights[lowest], _least_heights[lowest]
+    if height < needed:
         warnings.warn(
-            f"These axes are {math.floor(10 * height) / 10:g} inches high, too low for what they show: its texts "
-            f"overlap below {math.ceil(10 * least) / 10:g} inches. Use a larger figure, captions=False, or a "
-            "smaller top=.",
+            f"Axes of this figure are {math.floor(10 * height) / 10:g} inches high, too low for what they show: "
+            f"their texts overlap below {math.ceil(10 * needed) / 10:g} inches. Use a larger figure, "
+            "captions=False, or a smaller top=.",
             stacklevel=4,
         )
-        return
-    inside, needed = figure.bbox, ax.get_tightbbox()
-    if needed is not None and (
-        min(needed.x0 - inside.x0, needed.y0 - inside.y0, inside.x1 - needed.x1, inside.y1 - needed.y1) < 0
-    ):
+    elif any(_ends_outside(one) for one in drawn):
         has_layout = figure.get_layout_engine() is not None
         first = "" if has_layout else "create it with layout='constrained', which makes room for them, "
         warnings.warn(
@@ -117,6 +122,16 @@ def warn_if_cramped(ax: Axes, least: float) -> None:
             "captions=False.",
             stacklevel=4,
         )
+
+
+def _ends_outside(ax: Axes) -> bool:
+    """Whether a text of axes ends outside their figure."""
+    inside, needed = figure_of(ax).bbox, ax.get_tightbbox()
+    if needed is None:
+        return False
+    return bool(
+        min(needed.x0 - inside.x0, needed.y0 - inside.y0, inside.x1 - needed.x1, inside.y1 - needed.y1) < 0
+    )
 
 
 def _png(figure: Figure) -> bytes:
