@@ -133,9 +133,9 @@ def plot_heatmap(
         left.set_title("render, denoised" if denoised else "render", fontsize=TEXT)
     mapped = draw_map(drawn, heat, signed=signed)
     draw_arrows(drawn, attribution)
-    drawn_bar = draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=drawn, cax=bar)
+    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), cax=bar or _beside(drawn))
     if ax is not None:
-        _write_above(ax, drawn_bar, texts)
+        _write_above(ax, texts)
     return figure_of(drawn)
 
 
@@ -178,9 +178,9 @@ def plot_overlay(
         unclear = "without colour" if signed else None
         drawn, bar = _panels(attribution, heat, 1, figsize, texts, options, unclear)
     mapped = draw_overlay(drawn, attribution, heat, signed=signed, alpha=alpha)
-    drawn_bar = draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), ax=drawn, cax=bar)
+    draw_colorbar(mapped, signed, norm, options.get("decades", DECADES), cax=bar or _beside(drawn))
     if ax is not None:
-        _write_above(ax, drawn_bar, texts)
+        _write_above(ax, texts)
     return figure_of(drawn)
 
 
@@ -305,15 +305,15 @@ def _write_lines(ax: Axes, lines: Sequence[str]) -> None:
     ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False, wrap=True)
 
 
-def _write_above(ax: Axes, bar: Colorbar, texts: Sequence[str]) -> None:
-    """Write texts above a map in a caller's axes, as wide as their column of the figure, centred on the map.
+def _beside(ax: Axes) -> Axes:
+    """Return axes for a colour bar beside a map in a caller's axes, as high as the map."""
+    return ax.inset_axes((1.03, 0.0, 0.05, 1.0))
 
-    A colour bar that is higher than the map ends them: it would cover them.
-    """
+
+def _write_above(ax: Axes, texts: Sequence[str]) -> None:
+    """Write texts above a map in a caller's axes, as wide as their column of the figure, centred on the map."""
     figure_of(ax).draw_without_rendering()  # the layout moves the axes
     left, right = _column(ax)
-    if bar.ax.bbox.y1 > ax.bbox.y1 + 1:
-        right = min(right, bar.ax.bbox.x0)
     center = (ax.bbox.x0 + ax.bbox.x1) / 2
     _write_lines(ax, _lines(texts, 2 * min(center - left, right - center) / figure_of(ax).dpi))
     warn_if_cramped(ax, _LEAST_MAP)
