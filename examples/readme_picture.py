@@ -36,7 +36,7 @@ def main(path: Path, resolution: tuple[int, int] = (640, 360), spp: int = 64) ->
     left.imshow(display_image(shown_render(attribution)).numpy())
     left.set_axis_off()
     attribution.plot_heatmap(ax=right, signed=True)
-    figure.axes[-1].remove()  # the colour bar: the largest effects are written on the objects
+    right.child_axes[0].remove()  # the colour bar: the largest effects are written on the objects
     label_objects(right, attribution)
     left.set_title("the office, rendered", fontsize=11)
     right.set_title("change of UGR, to first order: blue raises it, orange lowers it", fontsize=11)

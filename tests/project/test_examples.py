@@ -28,6 +28,14 @@ def load(name: str) -> ModuleType:
     return load_script(EXAMPLES / f"{name}.py")
 
 
+def test_the_picture_of_the_readme_says_what_causes_the_glare(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    load("readme_picture").main(tmp_path / "new" / "office.png", SIZE, 16)
+    assert (tmp_path / "new" / "office.png").is_file()
+    assert "Where the glare comes from" in capsys.readouterr().out
+
+
 def test_lamps_add_up_to_the_brightness(mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lamps = load("which_lamp").main(tmp_path / "new", SIZE, 16)["mean luminance"]
     whole = sum(sum(lamp.total) for lamp in lamps.ranking())
