@@ -263,7 +263,7 @@ def _result(
     is_relaxed = explanation is not None and explanation.definition is not None
     return {
         "title": title,
-        "metric": metric_name(attribution) if is_relaxed else attributed_name(attribution),
+        "metric": metric_name(attribution),
         # The headline may state the value by the definition; files have the one that is attributed.
         "valueOf": f"relaxed {metric_name(attribution)}" if is_relaxed else attributed_name(attribution),
         "unit": metric_unit(attribution),
