@@ -14,6 +14,7 @@ import matplotlib  # noqa: F401 -- first imported by a page that runs in docs/, 
 import numpy as np
 import pytest
 import torch
+from quick_llvm import use_quick_llvm
 from rooms import large_scenes
 from seeds import OFFSET, shift_defaults, shifted
 
@@ -30,13 +31,29 @@ torch.set_num_threads(1)
 # The package is imported inside the fixtures, so that an error in one subpackage fails only the tests of that one.
 
 
-def pytest_report_header() -> str:
-    return f"seeds: offset {OFFSET} (SCENECAPTUM_TEST_SEED)"
+_SEEDS = f"seeds: offset {OFFSET} (SCENECAPTUM_TEST_SEED)"
+_LLVM = pytest.StashKey[str]()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Compile kernels quickly, but for the long tests: they measure what users run.
+
+    The processes of xdist inherit the choice.
+    """
+    if hasattr(config, "workerinput") or config.option.markexpr == "long":
+        return
+    with contextlib.suppress(Exception):  # fails in each test that renders
+        config.stash[_LLVM] = use_quick_llvm(config.cache.mkdir("kernels"))
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    return [_SEEDS, f"kernels: compiled {config.stash.get(_LLVM, 'as installed')}"]
 
 
 def pytest_terminal_summary(terminalreporter: Any) -> None:
     if terminalreporter.verbosity < 0:  # then there was no header
-        terminalreporter.write_line(pytest_report_header())
+        for line in pytest_report_header(terminalreporter.config):
+            terminalreporter.write_line(line)
 
 
 @pytest.fixture(scope="session", autouse=True)

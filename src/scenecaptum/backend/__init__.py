@@ -17,6 +17,7 @@ from ._diagnosis import Diagnosis as Diagnosis
 from ._diagnosis import default_variant as default_variant
 from ._diagnosis import diagnose as diagnose
 from ._heap import trim_heap as trim_heap
+from ._llvm import choose_llvm as choose_llvm
 from ._threads import at_least_two_threads as at_least_two_threads
 from ._threads import use_threads as use_threads
 from ._variants import SceneOwner as SceneOwner
