@@ -198,6 +198,17 @@ def test_effects_of_a_cone_are_from_zero_to_its_angle(mi: Any) -> None:
         assert str(found[name].range) == "[0, ∞)"
 
 
+@pytest.mark.parametrize("has_texture", [False, True])
+def test_the_texture_of_a_spot_is_an_input_only_if_there_is_one(mi: Any, has_texture: bool) -> None:
+    slide = {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.full((4, 4, 3), 0.5, np.float32))}
+    found = table(small_scene(spot={"type": "spot"} | ({"texture": slide} if has_texture else {})))
+    problems = {one.name: one.problem or "" for one in found.values() if one.role == "texture"}
+    if has_texture:
+        assert problems["spot.texture.data"] == ""
+    else:
+        assert "has no texture" in problems["spot.texture.value"]
+
+
 @pytest.mark.parametrize("order", [("paint", "wall", "floor"), ("wall", "paint", "floor")])
 def test_a_shared_material_has_its_own_label_wherever_it_is_defined(mi: Any, order: tuple[str, ...]) -> None:
     """A material that is referred to before it is defined gets a name within the first shape."""

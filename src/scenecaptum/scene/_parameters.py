@@ -190,14 +190,23 @@ def _problem(
         )
     if not (_is_array(value) or isinstance(value, float)):
         return f"it is {article} {type_name}, not a continuous quantity"
-    if role == "S" and user.class_name().startswith("SGGX"):
-        return "Mitsuba's SGGX sampling does not match its own density"
+    if problem := _problem_of_plugin(user.class_name(), role, shape):
+        return problem
     if role in ("normalmap", "nested_texture") and _is_specular(user):
         return (
             "it rotates perfectly specular reflections, whose directions path replay does not differentiate"
         )
     if not tracked and math.prod(shape) > MAX_DIFFERENCES:
         return "Mitsuba keeps it outside the derivative graph, and it has too many entries for finite differences"
+    return None
+
+
+def _problem_of_plugin(plugin: str, role: str, shape: tuple[int, ...]) -> str | None:
+    """Return what is wrong with a parameter of one of Mitsuba's plugins alone, or None."""
+    if plugin == "SpotLight" and role == "texture" and math.prod(shape) == 1:
+        return "the spot has no texture, and Mitsuba does not use the constant that stands for it"
+    if plugin.startswith("SGGX") and role == "S":
+        return "Mitsuba's SGGX sampling does not match its own density"
     return None
 
 
