@@ -38,9 +38,8 @@ def _models() -> ModuleType:
         ) from error
     except RuntimeError as error:  # 'operator torchvision::nms does not exist'
         raise SceneCaptumError(
-            f"torchvision does not match the installed torch {torch.__version__}: {error}. Fix: install both for "
-            "the same device, from PyTorch's own index: pytorch.org/get-started shows the command. Before it: "
-            "pip uninstall -y torch torchvision"
+            f"torchvision does not match the installed torch {torch.__version__}: {error}. Fix: install "
+            "torchvision for this torch; `scenecaptum doctor` prints how"
         ) from error
     module: ModuleType = models
     return module
