@@ -64,6 +64,16 @@ def test_each_object_of_a_merged_source_has_its_own_luminance(found):
     assert found["lamp"].luminance == pytest.approx(5000, rel=0.01)
 
 
+def test_the_luminance_is_not_that_of_a_denoiser_that_overshoots():
+    metric = metrics.UnifiedGlareRating(Camera.perspective(SIZE, SIZE, fov_x=30))
+    covered = fractions()
+    radiance = torch.tensor([3000.0, 10.0, 5000.0, 50.0]).double() / metric.efficacy
+    image = torch.einsum("o,ohw->hw", radiance, covered)[..., None].expand(-1, -1, 3)
+    brightened = TargetedMetric(metric, None).with_transform(lambda picture: 1.2 * picture)
+    sources = find_sources(brightened, torch.stack([image] * 3), surface_map(covered))
+    assert {one.name: one.luminance for one in sources}["lamp"] == pytest.approx(5000, rel=0.01)
+
+
 def test_the_light_in_the_pixels_of_an_edge_is_that_of_the_sky(found):
     assert set(found) == {"sky", "lamp"}
     assert found["sky"].share + found["lamp"].share > 0.98

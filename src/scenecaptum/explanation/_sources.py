@@ -172,7 +172,8 @@ def _source_luminance(metric: TargetedMetric, image: torch.Tensor) -> torch.Tens
     """Return the luminance of each pixel in cd/m², ``(H, W)``; None for metrics without glare sources."""
     if not isinstance(metric.metric, GlareRating):
         return None
-    return metric.metric.efficacy * relative_luminance(metric.transform(image)).double()
+    # Not of the denoised picture: beside a small lamp it may be brighter than the lamp.
+    return metric.metric.efficacy * relative_luminance(image).double()
 
 
 def _place(weights: Floats, pixels: NDArray[np.int64], shape: tuple[int, int]) -> str:
