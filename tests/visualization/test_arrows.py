@@ -63,6 +63,22 @@ def test_an_object_is_where_the_values_show_it(
     assert rows.min() < place[1] < rows.max() + 1
 
 
+def test_a_thin_lens_shows_an_object_where_a_pinhole_does(mi: Any) -> None:
+    shown = []
+    for camera in (
+        {"type": "perspective"},
+        {"type": "thinlens", "aperture_radius": 0.2, "focus_distance": 3.0},
+    ):
+        scene = mi.cornell_box()
+        scene["sensor"] = {**scene["sensor"], **camera}
+        one = SceneRenderer(scene, "small-box.pose.translation", resolution=(32, 32), spp=1)
+        shown += one.shown_moves().values()
+    (place, slopes), (expected, expected_slopes) = shown
+    assert place == pytest.approx(expected, abs=1e-3)
+    assert np.array(slopes) == pytest.approx(np.array(expected_slopes), abs=1e-3)
+    assert one.info["sensor"].startswith("thin lens of radius 0.2, focused at 3, 39.31° wide")
+
+
 def test_slopes_are_those_of_moved_objects(renderer: SceneRenderer) -> None:
     values = {
         NAME: torch.tensor([-0.3, 0.1, 0.2]),

@@ -578,7 +578,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         -------
         dict
             By name: a point in pixels, and its ``(2, 3)`` derivative with respect to the translation. Empty for
-            a list of sensors, a sensor grid, and other cameras than a pinhole.
+            a list of sensors, a sensor grid, and other cameras than a pinhole or a thin lens.
         """
         if self._stacked or not self.shows_a_view:
             return {}

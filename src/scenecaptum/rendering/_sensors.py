@@ -92,6 +92,11 @@ def describe_sensor(sensor: Any) -> str:
     import mitsuba as mi
 
     kind, settings = _type_name(sensor), mi.traverse(sensor)
+    if "aperture_radius" in settings:
+        radius, distance = (
+            _short(float(settings[name][0])) for name in ("aperture_radius", "focus_distance")
+        )
+        kind = f"thin lens of radius {radius}, focused at {distance}"
     fov = float(settings["x_fov"][0]) if "x_fov" in settings else getattr(sensor, "fov", None)
     pose = _pose_of(sensor)
     place, ahead = (" ".join(_short(pose[row][column]) for row in range(3)) for column in (3, 2))

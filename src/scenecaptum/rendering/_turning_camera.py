@@ -18,7 +18,7 @@ from ._chunks import Chunk
 from ._dr_arrays import owned
 from ._film_motion import FilmMotion, film_samples, turning
 from ._live_scene import LiveScene, Values
-from ._sensors import film_corners
+from ._sensors import film_corners, is_connectable
 from ._state import Snapshot
 
 ROTATION, FOV = pose_name("camera", "rotation"), pose_name("camera", "fov")
@@ -97,9 +97,9 @@ class TurningCamera:
     def shown_at(self, place: torch.Tensor, values: Values) -> tuple[torch.Tensor, torch.Tensor] | None:
         """Return where the picture shows a place ``(3,)`` of the scene, in pixels, and how it moves, ``(2, 3)``.
 
-        None outside the picture, or for another camera than a pinhole. ``values`` may move the camera.
+        None outside the picture, or for another camera than a pinhole or a thin lens. ``values`` may move it.
         """
-        if not self._is_pinhole:
+        if not is_connectable(self._live.sensor):
             return None
         with self._live.with_values(values):
             origin = np.array(self._live.sensor.world_transform().matrix).reshape(4, 4, -1)[:3, 3, 0]
