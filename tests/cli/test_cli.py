@@ -149,15 +149,24 @@ def test_a_command_says_that_the_scene_asks_for_another_depth(tmp_path, recwarn,
     assert [str(one.message) for one in recwarn] == notes
 
 
-@pytest.mark.parametrize(("in_scene", "is_said"), [("12", True), ("6", False)])
-def test_a_page_says_which_light_is_missing(tmp_path: Path, in_scene: str, is_said: bool) -> None:
+@pytest.mark.parametrize(
+    ("command", "in_scene", "is_said"),
+    [
+        ("attribute --replicates 2 --no-progress --report --out {folder}", "12", True),
+        ("attribute --replicates 2 --no-progress --report --out {folder}", "6", False),
+        ("explore --to {folder}/report.html", "12", True),
+    ],
+)
+def test_a_page_says_which_light_is_missing(
+    tmp_path: Path, command: str, in_scene: str, is_said: bool
+) -> None:
     own = f'<integrator type="path"><integer name="max_depth" value="{in_scene}"/></integrator>'
     scene = tmp_path / "deep.xml"
     scene.write_text(OPEN.replace("<emitter", f"{own}<emitter"))
-    command = ["attribute", str(scene), "-D", "spp=4", "-D", "size=8", "--replicates", "2", "--no-progress"]
+    name, *options = command.format(folder=tmp_path).split()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the depth
-        assert cli.main([*command, "--report", "--out", str(tmp_path)]) == 0
+        assert cli.main([name, str(scene), "-D", "spp=4", "-D", "size=8", *options]) == 0
     note = "light of paths of more than 6 segments is missing; the scene asks for up to 12"
     assert (note in (tmp_path / "report.html").read_text()) is is_said
 

@@ -72,6 +72,7 @@ def run(options: argparse.Namespace) -> int:
         top=options.top,
         recipe=_recipe(options, renderer, created),
         spp=_spp(options),
+        premises=_arguments.depth_premises(renderer),
     )
     if options.to is not None:
         exploration.linearize()

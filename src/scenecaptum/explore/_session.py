@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -65,6 +65,8 @@ class Exploration:
         ``{inputs}``, and ``values``; an expression for each of the ``metrics``; the arguments of ``attribute``; a
         ``command``; the names of the parameters that these have ``changed`` already; and the ``inputs`` if the
         page changes none.
+    premises
+        What pages say of the picture of each metric, beside what the metric takes for granted.
     options
         ``inputs``, ``target``, ``seed``, ``spp`` and ``denoise``, as for ``linearization.Designs``.
 
@@ -81,6 +83,7 @@ class Exploration:
         *,
         top: int = 12,
         recipe: Mapping[str, Any] = RECIPE,
+        premises: Sequence[str] = (),
         **options: Any,
     ) -> None:
         named = metrics if isinstance(metrics, Mapping) else {"": metrics}
@@ -91,6 +94,7 @@ class Exploration:
         self.about: Linearization | None = None  # what predictions come from
         self._starts = 0  # how many there have been
         self._top = whole_number("top", top)
+        self._premises = premises
         self._design: Design = {}
         self._version = self._confirmed = 0  # of the design: the latest, and the one that was rendered last
         self._rendering: int | None = None  # the version that is being rendered
@@ -308,16 +312,17 @@ class Exploration:
                 "value": value,
                 "error": error,
                 **_meaning(metric, value, error, measured.images),
-                "premises": list(
-                    photometric_premises(
+                "premises": [
+                    *self._premises,
+                    *photometric_premises(
                         metric.metric,
                         measured.image,
                         value,
                         error,
                         metric.transform(measured.image),
                         self.designs.renderer,
-                    )
-                ),
+                    ),
+                ],
             }
             for metric, (value, error) in zip(metrics, values, strict=True)
         ]
