@@ -184,7 +184,14 @@ def test_tables_and_figures_show_all_orders():
     lines = str(curves).splitlines()
     start = next(number for number, line in enumerate(lines) if "larger is better" in line)
     heads = [line.split("  ")[0].strip() for line in lines[start + 1 :]]
-    assert heads[:6] == ["mean change", "of Captum's pixels", "", "of equal", "", "of random orders"]
+    assert heads[:6] == [
+        "mean size of the change",
+        "of Captum's pixels",
+        "",
+        "of equal",
+        "",
+        "of random orders",
+    ]
     assert [line.split()[:3] for line in lines[start + 3 : start + 6 : 2]] == [["lead", "over", "it"]] * 2
     figure = curves.plot()
     (legend,) = figure.legends

@@ -323,7 +323,7 @@ class DeletionInsertion:
         return [mean_and_error(change) for change in curve - self.deletion[0]]
 
     def _table_of_areas(self) -> list[str]:
-        rows = [["mean change", *_formatted(self._own)]]
+        rows = [["mean size of the change", *_formatted(self._own)]]
         for name, curves in self.others.items():
             rows.append([f"of {name}", *_formatted(curves)])
             rows.append(["  lead over it", *(format_with_error(*lead) for lead in self.lead(name))])
