@@ -163,8 +163,8 @@ def test_the_verdict_is_printed_with_its_reasons():
     assert "quadrature" not in str(noisy)
     assert "mostly noise: use more samples" in " ".join(str(noisy).split())
     assert "mostly noise" not in text
-    added_up = dataclasses.replace(noisy, info={**noisy.info, "convergence": "adds up"})
-    assert "use more samples" not in str(added_up)
+    added_up = dataclasses.replace(made, info={**made.info, "convergence": "adds up"})
+    assert "use more" not in str(added_up)
     assert f"adds up within {100 * TOLERANCE:g} %: delta −0.52 ± 0.31 of" in str(added_up)
 
 

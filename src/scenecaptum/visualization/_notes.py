@@ -201,7 +201,8 @@ def convergence_notes(attribution: Attribution) -> list[str]:
         verdict += f" within {_TOLERANCE:g} %"
     note = f"{verdict}: delta {format_with_error(delta, error)} of {with_error(explained, error)[0]}"
     quadrature = attribution.info.get("quadrature_error")
-    if error and quadrature and quadrature > error / 2:
+    adds_up = attribution.info["convergence"] == "adds up"
+    if error and quadrature and quadrature > error / 2 and not adds_up:
         return [advised(f"{note}, mostly quadrature error", "use more steps", ": ")]
     if error and attribution.info.get("convergence") == "inconclusive":
         draws = " or more n_samples" if attribution.info.get("n_samples") else ""  # of random scenes
