@@ -856,22 +856,47 @@ def test_bars_that_the_texts_would_cover_are_refused(top: int | None) -> None:
 def test_axes_of_the_caller_that_are_too_low_or_cut_texts_off_warn() -> None:
     from matplotlib.figure import Figure
 
-    with pytest.warns(UserWarning, match="too low for what they show"):
+    with pytest.warns(UserWarning, match="height of .* too little for what they show"):
         plot_bars(make(), ax=Figure(figsize=(7.0, 1.0)).add_subplot())
-    with pytest.warns(UserWarning, match="create it with layout='constrained'"):
+    with pytest.warns(UserWarning, match="Use layout='constrained'"):
         plot_bars(make(), ax=Figure(figsize=(7.0, 2.5)).add_subplot())
     first, second = Figure(figsize=(7.0, 5.0), layout="constrained").subplots(2, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plot_bars(make(), ax=first)
-    with pytest.warns(UserWarning, match="too low for what they show"):  # the first, beside the second
+    with pytest.warns(UserWarning, match="too little for what they show"):  # the first, beside the second
         plot_bars(make(), 1, ax=second)
+    left, _ = Figure(figsize=(2.4, 7.0), layout="constrained").subplots(1, 2)
+    with pytest.warns(UserWarning, match=r"width of .* needs 0\.8\. Use a larger figure, or a smaller top="):
+        plot_bars(make(), ax=left, captions=False)
     left, _ = Figure(figsize=(3.0, 3.5), layout="constrained").subplots(1, 2)
-    with pytest.warns(UserWarning, match="outside this figure: use a larger one, or"):
+    with pytest.warns(UserWarning, match="Use a larger figure, or captions=False, or a smaller top="):
         plot_bars(make(), ax=left)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         plot_bars(make(), ax=Figure(figsize=(7.0, 5.0), layout="constrained").add_subplot())
+
+
+def test_bars_beside_each_other_on_a_page_have_room_for_their_names_and_signs() -> None:
+    """Long names and texts leave less than half of a panel to its bars only where it is very narrow."""
+    from matplotlib.figure import Figure
+
+    signed = make()
+    labels = {name: f"a long name of a panel: {name} reflectance" for name in signed}
+    signed = dataclasses.replace(signed, labels=labels)
+    page = Figure(figsize=(7.0, 6.0), layout="constrained")
+    panels = page.subplots(2, 2).flatten()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for ax in panels:
+            plot_bars(signed, ax=ax, captions=False)
+    page.draw_without_rendering()
+    for ax in panels:
+        assert ax.bbox.width / page.dpi > 1.2
+        left_of_bars = max(label.get_window_extent().x1 for label in ax.get_yticklabels())
+        assert all(
+            text.get_window_extent().x0 > left_of_bars for text in ax.texts if text.get_text() in "+−±"
+        )
 
 
 @pytest.mark.parametrize("plot", [plot_bars, plot_heatmap, plot_overlay])

@@ -10,6 +10,7 @@ from ._effect_notes import light_notes, range_marked, range_notes
 from ._figures import (
     DEFAULT_TOP,
     LOWERS,
+    NO_CAPTIONS,
     RAISES,
     SIGNS,
     SMALL,
@@ -17,11 +18,13 @@ from ._figures import (
     TITLE,
     UNCLEAR,
     WIDTH,
+    Room,
     add_footnotes,
     characters_per_line,
     check_height,
     check_width,
     color_of,
+    column_of,
     figure_of,
     figure_title,
     first,
@@ -59,6 +62,8 @@ _MAX_NAMES = 6
 _LONGEST = 80  # characters of a line of the legend
 _LEGEND_PATCH = 0.4  # inches, before the text of each entry
 _BAR, _LEAST_BAR = 0.21, 0.13  # inches of each bar: by default, and at least
+_LEAST_BARS = 0.8  # width in inches of the axes of a caller
+_SIGN = 0.2  # inches, beside the end of a bar
 
 
 def plot_bars(
@@ -105,10 +110,16 @@ def plot_bars(
         check_width(figsize)
     rows = first(attribution.ranking(scale=scale), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
-    # Up to a third of the width is for the names.
-    full = WIDTH if figsize is None else figsize[0]
-    width = 0.67 * full if ax is None else 0.85 * ax.bbox.width / figure_of(ax).dpi
-    longest = _LONGEST if ax is None else characters_per_line(width - _LEGEND_PATCH, TEXT)
+    # Up to a third of the width is for the names; more in the narrow axes of a page.
+    if ax is None:
+        full = WIDTH if figsize is None else figsize[0]
+        width, longest, name_width = 0.67 * full, _LONGEST, _NAME_WIDTH
+    else:
+        left, right = column_of(ax)
+        full = (right - left) / figure_of(ax).dpi
+        width = 0.6 * full
+        longest = characters_per_line(width - _LEGEND_PATCH, TEXT)
+        name_width = min(_NAME_WIDTH, characters_per_line(0.4 * full, TEXT))
     legend = bar_legend(attribution, rows, scale, longest)
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE), scale) if captions else ""
     axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
@@ -123,11 +134,12 @@ def plot_bars(
         ax = new_figure(*(figsize or (WIDTH, height))).add_subplot()
 
     style_axes(ax, x="\n".join(axis))
-    draw_bars(ax, attribution, rows, scale=scale, name_width=_NAME_WIDTH)
+    draw_bars(ax, attribution, rows, scale=scale, name_width=name_width)
     write_header(ax, title, handles=legend, size=TEXT)
     add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
     if not own:
-        warn_if_cramped(ax, _LEAST_BAR * len(rows))
+        options = [NO_CAPTIONS, "a smaller top="] if captions else ["a smaller top="]
+        warn_if_cramped(ax, Room(_LEAST_BAR * len(rows), _LEAST_BARS, options))
     elif figsize is not None:
         check_height(ax, _LEAST_BAR * len(rows))
     return figure_of(ax)
@@ -177,7 +189,8 @@ def draw_bars(
         for row, hatched in zip(rows, inaccurate, strict=True)
     ]
     name_rows(ax, [f"{mark} {name}".lstrip() for mark, name in zip(marks, names, strict=True)], size)
-    ax.margins(x=0.08)
+    # A layout may leave half of the width.
+    ax.margins(x=max(0.08, 2 * _SIGN * figure_of(ax).dpi / ax.bbox.width))
     if not any(length < 0 for length in lengths):
         ax.set_xlim(left=0, right=None if any(lengths) else 1)
     else:

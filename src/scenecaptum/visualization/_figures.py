@@ -33,6 +33,7 @@ SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 
 WIDTH = 7.2  # text width of a page in inches
 _ENOUGH = 20.0  # inches, for all texts of a figure
+NO_CAPTIONS = "captions=False"  # the option of a plot that leaves the texts out
 LEAST_WIDTH = 4.5  # in which the texts of a figure fit
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
 DEFAULT_TOP = 15  # parameters in a figure
@@ -45,7 +46,17 @@ _LOG_STEPS = (
     (3.0, (1.0, 3.0)),
 )
 _CHARACTER_WIDTH = 0.58  # mean width of a character relative to the font size
-_least_heights: WeakKeyDictionary[Axes, float] = WeakKeyDictionary()  # in inches, of the axes of callers
+
+
+class Room(NamedTuple):
+    """The least size of axes in inches, in which their texts do not overlap, and the options that make it less."""
+
+    height: float
+    width: float
+    options: Sequence[str]
+
+
+_rooms: WeakKeyDictionary[Axes, Room] = WeakKeyDictionary()  # of the axes of callers
 
 
 class Label(NamedTuple):
@@ -92,36 +103,37 @@ def check_height(ax: Axes, least: float) -> None:
         )
 
 
-def warn_if_cramped(ax: Axes, least: float) -> None:
-    """Warn if axes that a caller made are lower than ``least`` inches, or their texts end outside the figure.
+def warn_if_cramped(ax: Axes, room: Room) -> None:
+    """Warn if axes that a caller made are smaller than ``room``, or their texts end outside the figure.
 
     All axes of the figure that were drawn into before are looked at, too: what is drawn now makes them smaller.
     """
     figure = figure_of(ax)
-    _least_heights[ax] = least
+    _rooms[ax] = room
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of a layout that gives up: those below say what to do
         for _ in range(2):  # with many texts, a layout needs two passes
             figure.draw_without_rendering()
-    drawn = [one for one in figure.axes if one in _least_heights]
-    heights = {one: one.bbox.height / figure.dpi for one in drawn}
-    lowest = min(drawn, key=lambda one: heights[one] / _least_heights[one])
-    height, needed = heights[lowest], _least_heights[lowest]
-    if height < needed:
-        warnings.warn(
-            f"Axes of this figure are {math.floor(10 * height) / 10:g} inches high, too low for what they show: "
-            f"their texts overlap below {math.ceil(10 * needed) / 10:g} inches. Use a larger figure, "
-            "captions=False, or a smaller top=.",
-            stacklevel=4,
-        )
-    elif any(_ends_outside(one) for one in drawn):
+    rooms = {one: _rooms[one] for one in figure.axes if one in _rooms}
+    options = dict.fromkeys(option for room in rooms.values() for option in room.options)
+    for side in ("height", "width"):
+        sizes = {one: getattr(one.bbox, side) / figure.dpi for one in rooms}
+        least = min(rooms, key=lambda one: sizes[one] / getattr(rooms[one], side))
+        size, needed = sizes[least], getattr(rooms[least], side)
+        if size < needed:
+            size, needed = math.floor(10 * size) / 10, math.ceil(10 * needed) / 10
+            advice = ", or ".join(["a larger figure", *options])
+            warnings.warn(
+                f"Axes of this figure have a {side} of {size:g} inches, too little for what they show: it needs "
+                f"{needed:g}. Use {advice}.",
+                stacklevel=4,
+            )
+            return
+    if any(map(_ends_outside, rooms)):
         has_layout = figure.get_layout_engine() is not None
-        first = "" if has_layout else "create it with layout='constrained', which makes room for them, "
-        warnings.warn(
-            f"Texts end outside this figure: {first}use a larger one, or leave the title and the notes out with "
-            "captions=False.",
-            stacklevel=4,
-        )
+        layout = [] if has_layout else ["layout='constrained', which makes room for them"]
+        advice = ", or ".join([*layout, "a larger figure", *options])
+        warnings.warn(f"Texts end outside this figure. Use {advice}.", stacklevel=4)
 
 
 def _ends_outside(ax: Axes) -> bool:
@@ -143,6 +155,21 @@ def _png(figure: Figure) -> bytes:
 def axes_or_new(ax: Axes | None, width: float, height: float) -> Axes:
     """Return the given axes, or those of a new figure of this size in inches."""
     return new_figure(width, height).add_subplot() if ax is None else ax
+
+
+def column_of(ax: Axes) -> tuple[float, float]:
+    """Return where the column of axes in their figure or subfigure begins and ends, in dots."""
+    part: Any = ax.figure
+    spec = ax.get_subplotspec()
+    if spec is None:
+        return float(ax.bbox.x0), float(ax.bbox.x1)
+    outer: Any = spec.get_topmost_subplotspec()
+    _, _, lefts, rights = outer.get_gridspec().get_grid_positions(part)
+    # Stretched over the full width, as a layout does.
+    first, width = lefts[0], rights[-1] - lefts[0]
+    begin, end = lefts[outer.colspan.start] - first, rights[outer.colspan.stop - 1] - first
+    x0, total = part.bbox.x0, part.bbox.width
+    return x0 + begin / width * total, x0 + end / width * total
 
 
 def figure_of(part: Axes | SubFigure) -> Figure:

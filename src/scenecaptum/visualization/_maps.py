@@ -25,13 +25,16 @@ from ._arrows import arrows, draw_arrows
 from ._effect_notes import range_notes
 from ._figures import (
     LOWERS,
+    NO_CAPTIONS,
     RAISES,
     SMALL,
     TEXT,
     TITLE,
     WIDTH,
+    Room,
     characters_per_line,
     check_width,
+    column_of,
     figure_of,
     figure_title,
     new_figure,
@@ -72,7 +75,7 @@ if TYPE_CHECKING:
 
 _NORMS = {"sqrt": "√\u00a0scale", "linear": "linear\u00a0scale", "log": "logarithmic\u00a0scale"}
 _MARGIN, _GAP, _COLORBAR, _TICK_LABELS = 0.12, 0.1, 0.12, 0.45  # inches
-_LEAST_MAP = 0.5  # height of a map in the axes of a caller, in inches
+_LEAST_MAP = 0.5  # width and height of a map in the axes of a caller, in inches
 _MOST_UNSEEN = 3  # rank of a parameter that is named where no pixel shows it
 _NEGLIGIBLE = 0.01  # relative to the largest effect: not counted there
 DEFAULT_SIZE = (WIDTH, 4.0)  # the largest width of a figure and height of an image
@@ -313,25 +316,10 @@ def _beside(ax: Axes) -> Axes:
 def _write_above(ax: Axes, texts: Sequence[str]) -> None:
     """Write texts above a map in a caller's axes, as wide as their column of the figure, centred on the map."""
     figure_of(ax).draw_without_rendering()  # the layout moves the axes
-    left, right = _column(ax)
+    left, right = column_of(ax)
     center = (ax.bbox.x0 + ax.bbox.x1) / 2
     _write_lines(ax, _lines(texts, 2 * min(center - left, right - center) / figure_of(ax).dpi))
-    warn_if_cramped(ax, _LEAST_MAP)
-
-
-def _column(ax: Axes) -> tuple[float, float]:
-    """Return where the column of axes in their figure or subfigure begins and ends, in dots."""
-    part: Any = ax.figure
-    spec = ax.get_subplotspec()
-    if spec is None:
-        return float(ax.bbox.x0), float(ax.bbox.x1)
-    outer: Any = spec.get_topmost_subplotspec()
-    _, _, lefts, rights = outer.get_gridspec().get_grid_positions(part)
-    # Stretched over the full width, as a layout does.
-    first, width = lefts[0], rights[-1] - lefts[0]
-    begin, end = lefts[outer.colspan.start] - first, rights[outer.colspan.stop - 1] - first
-    x0, total = part.bbox.x0, part.bbox.width
-    return x0 + begin / width * total, x0 + end / width * total
+    warn_if_cramped(ax, Room(_LEAST_MAP, _LEAST_MAP, [NO_CAPTIONS] if texts else []))
 
 
 def _largest(attribution: Attribution, scale: Scale | None, is_selection: bool) -> str:
