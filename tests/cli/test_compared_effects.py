@@ -144,7 +144,7 @@ def test_effects_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_l
         dataclasses.replace(first, info={**first.info, **info})
         for info in ({"lights_on": []}, {"linear_in_light": True})
     )
-    note = "of a light, to first order: Glare is not linear in the light"
+    note = "effects of lights are to first order: Glare is not linear in the light"
     assert sum(line.startswith(f"  {note}") for line in text_of(first, first)) == 1
     assert any(line.startswith(f"  A: {note}") for line in text_of(first, changed)), "of one of both alone"
     assert not any(note in line for line in text_of(linear, linear))

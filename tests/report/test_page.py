@@ -1022,7 +1022,7 @@ def test_a_light_that_is_off_ranks_last_and_sets_no_scale(browser, tmp_path):
     assert rows.last.locator(".bar").count() == 0
     assert rows.last.locator(".saliency .number").inner_text()
     shown = page.page.locator("main").inner_text()
-    assert "of a light, to first order: UGR is not linear" in shown
+    assert "effects of lights are to first order: UGR is not linear" in shown
     assert "--groups" in str(lit)
     assert "--groups" not in shown, "a page is for those who do not run the software, too"
     page.check(path)

@@ -90,7 +90,7 @@ def test_a_light_that_is_off_has_its_number_in_place_of_a_bar() -> None:
 
 
 def test_bars_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_light() -> None:
-    note = "of a light, to first order: Glare is not linear in the light"
+    note = "effects of lights are to first order: Glare is not linear in the light"
     found = of_values(("lamp", -50.0, 0.0), ("desk", 1.0, 0.5), errors=0.1)
     lit = dataclasses.replace(found, info={**found.info, "lights_on": ["lamp"]})
     figure = plot_bars(lit)
@@ -103,7 +103,7 @@ def test_bars_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_ligh
     for other in (found, linear):
         assert note not in " ".join(all_text(plot_bars(other)).split())
     for two in (lit - 0.5 * found, lit + lit):
-        assert "of a light, to first order" in " ".join(all_text(plot_bars(two)).split()), (
+        assert "effects of lights are to first order" in " ".join(all_text(plot_bars(two)).split()), (
             "of a difference or a mean, too"
         )
 

@@ -260,12 +260,12 @@ def _result(
     mapped = [[index for index in rows if index in colored] for rows in object_rows]
     saliencies = [math.hypot(*(ranking[index].saliency for index in rows)) for rows in mapped]
     sums = [clear_sum(attribution, [ranking[index] for index in rows]) for rows in mapped]
-    is_relaxed = explanation is not None and explanation.definition is not None
+    has_definition = explanation is not None and explanation.definition is not None
     return {
         "title": title,
         "metric": metric_name(attribution),
         # The headline may state the value by the definition; files have the one that is attributed.
-        "valueOf": f"relaxed {metric_name(attribution)}" if is_relaxed else attributed_name(attribution),
+        "valueOf": f"relaxed {metric_name(attribution)}" if has_definition else attributed_name(attribution),
         "unit": metric_unit(attribution),
         "verdict": rating(attribution) if explanation is None else explanation.rating(),
         "premises": [] if explanation is None else _premises(explanation),
@@ -277,11 +277,12 @@ def _result(
         else [(heading, findings(lines)) for heading, lines in explanation.sections()[1:]],
         "quantity": attribution.kind.value,
         # The effects are those of the relaxed metric, too.
-        "axis": axis_label(attribution, width=None, is_relaxed=is_relaxed),
+        "axis": axis_label(attribution, width=None, is_relaxed=has_definition),
         "signs": sign_labels(attribution),
         "value": _number(attribution.metric_value),
         "error": _number(attribution.metric_standard_error),
         "written": _headline(attribution, explanation),
+        "isRelaxed": bool(attribution.info.get("relaxed")) and not has_definition,
         "method": method_name(attribution),
         "sampling": findings(sampling_notes(attribution)),
         "convergence": findings([*convergence_notes(attribution), *baseline_notes(attribution)]),

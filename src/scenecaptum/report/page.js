@@ -156,12 +156,16 @@ function drawPrinted() {
   byId("printed").replaceChildren(...copies);
 }
 
+/** The value of a result's metric with its error, called relaxed where that by the definition may differ. */
+function headline({ written, unit, isRelaxed }) {
+  return [withError(written), unit].filter(Boolean).join(" ") + (isRelaxed ? ", relaxed" : "");
+}
+
 const HALVES = ["other", "other-overlay", "split-before", "split-after"]; // of a picture with a divider
 
 /** Copy what is shown of the result: its picture or plan as a whole, its sentences, and its table. */
 function printedCopy() {
-  const { title, written, unit } = result();
-  const head = make("h2", {}, `${title}: ${[withError(written), unit].filter(Boolean).join(" ")}`);
+  const head = make("h2", {}, `${result().title}: ${headline(result())}`);
   const hasMap = view().names.length > 0 && hasEffects(result()) && byId("opacity").value > 0;
   const shown = [byId("explanation"), document.querySelector(".frame"), ...(hasMap ? [document.querySelector(".legend")] : []), document.querySelector(".list")];
   const copies = shown.filter((one) => !one.hidden).map(copyOf);
@@ -401,7 +405,7 @@ function widest(texts, font) {
 function barsText() {
   const rows = result().rows.slice(0, BARS);
   const numbers = rows.map((row) => withError(row.written));
-  const title = `${result().title}: ${[withError(result().written), result().unit].filter(Boolean).join(" ")}`;
+  const title = `${result().title}: ${headline(result())}`;
   const drawn = rows.filter((row) => !row.isLast);
   const top = Math.max(...drawn.map((row) => (row.saliency ?? 0) + (row.error ?? 0))) || 1;
   const signed = result().ranked === "Effect" && drawn.some((row) => row.effect < 0);
@@ -476,7 +480,7 @@ function drawResults() {
     input.addEventListener("change", () => { state.current = index; leave(); drawResult(); remember(); });
     return make("label", { class: "result" }, input, make("span", { class: "result-face" },
       make("span", {}, make("span", { class: "result-title" }, one.title), one.title.includes(one.metric) ? null : make("span", { class: "result-metric" }, ` · ${one.metric}`)),
-      make("span", { class: "result-value" }, [withError(one.written), one.unit].filter(Boolean).join(" ")),
+      make("span", { class: "result-value" }, headline(one)),
       ...cautionsOf(one),
       ...[one.verdict, ...one.premises].filter((text) => text && !isCaution(text)).map((text) => make("span", { class: "result-verdict" }, text))));
   });

@@ -67,8 +67,8 @@ def light_notes(
     groups = "material" if attribution.surfaces is None else "object"
     return [
         advised(
-            f"of a light, to first order: {metric_symbol(attribution)} is not linear in the light, and may change "
-            "by much more or less, or in the other direction, if one is switched off",
+            f"effects of lights are to first order: {metric_symbol(attribution)} is not linear in the light, and "
+            "may change by much more or less, or in the other direction, if one is switched off",
             f'for that, use an ablation with groups="{groups}" (--method ablation --groups {groups})',
         )
     ]
