@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -50,6 +51,22 @@ def test_two_designs_are_compared(mi: Any, tmp_path: Path, capsys: pytest.Captur
     assert change.metric_value < 0, "lighter surroundings glare less"
     assert (tmp_path / "new" / "ranks.png").is_file()
     assert "lighter walls" in capsys.readouterr().out
+
+
+def test_a_study_of_rooms_says_what_its_cells_cost(
+    mi: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = load("rooms_study")
+    cameras = dict(list(script.CAMERAS.items())[:2])
+    for name, value in {"BUNDLED": ["cornell-box"], "CAMERAS": cameras, "METRICS": ["luminance"]}.items():
+        monkeypatch.setattr(script, name, value)
+    options = ["--resolution", "16x9", "--spp", "2", "--workers", "1", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", ["rooms_study.py", *options])
+    assert script.main() == 0
+    printed = capsys.readouterr().out
+    assert "all 2 cells: " in printed
+    assert "\ncornell-box                  2 " in printed
+    assert {"luminance.png", "gallery.png", "report"} <= {path.name for path in tmp_path.iterdir()}
 
 
 def test_a_metric_of_your_own_depends_most_on_its_object(mi: Any, tmp_path: Path) -> None:
