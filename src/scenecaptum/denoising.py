@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,7 +17,7 @@ CHANNELS = 3
 
 @dataclass(frozen=True)
 class Guides:
-    """Noise-free auxiliary images (albedo and normals) that guide a denoiser.
+    """Noise-free auxiliary images that guide a denoiser.
 
     Attributes
     ----------
@@ -24,10 +25,41 @@ class Guides:
         ``(H, W, 3)`` in [0, 1]; ``(cameras, H, W, 3)`` for several cameras.
     normal
         Shading normals in world space, of the same shape, each channel in [-1, 1].
+    emission
+        Radiance of the lamps and the surroundings that the camera sees directly, of the same shape, if known. It
+        is not denoised: a denoiser takes a lamp of a few pixels for noise.
     """
 
     albedo: torch.Tensor
     normal: torch.Tensor
+    emission: torch.Tensor | None = None
+
+    def without_lamps(self) -> Guides:
+        """Return guides by which whole pixels that show lamps are left as they are.
+
+        So denoised, a picture and its derivative by the light of all lamps stay proportional.
+        """
+        if self.emission is None:
+            return self
+        shows = self.emission.amax(-1, keepdim=True) > 0
+        return dataclasses.replace(
+            self, emission=torch.where(shows, torch.inf, torch.zeros_like(self.emission))
+        )
+
+    @staticmethod
+    def stacked(guides: Sequence[Guides]) -> Guides:
+        """Return the guides of several pictures as those of one stack."""
+        emission = [one.emission for one in guides if one.emission is not None]
+        return Guides(
+            torch.stack([one.albedo for one in guides]),
+            torch.stack([one.normal for one in guides]),
+            torch.stack(emission) if emission else None,
+        )
+
+    def __getitem__(self, index: int) -> Guides:
+        """Return the guides of one picture of a stack."""
+        emission = None if self.emission is None else self.emission[index]
+        return Guides(self.albedo[index], self.normal[index], emission)
 
 
 def guides_of(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> Guides | None:
@@ -65,7 +97,8 @@ def denoise(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
     image
         ``(H, W, 3)`` linear radiance, or ``(cameras, H, W, 3)``. Negative values are clamped to 0.
     guides
-        Albedo and normals of the same shape, if available.
+        Albedo, normals and emission of the same shape, if available. Of the emission, what the image has of it is
+        left as it is.
 
     Returns
     -------
@@ -92,15 +125,19 @@ def denoise(image: torch.Tensor, guides: Guides | None = None) -> torch.Tensor:
             f"The guides have shape {tuple(guides.albedo.shape)}, but the image has {tuple(image.shape)}."
         )
     if image.ndim > CHANNELS:
-        each = [None] * len(image) if guides is None else map(Guides, guides.albedo, guides.normal)
+        each = [None if guides is None else guides[index] for index in range(len(image))]
         return torch.stack([denoise(*pair) for pair in zip(image, each, strict=True)])
     radiance = image.detach().to("cpu", torch.float64).clamp_min(0)
-    mean = radiance.mean().item()
+    direct = torch.zeros_like(radiance)
+    if guides is not None and guides.emission is not None:
+        direct = torch.minimum(radiance, guides.emission.to(radiance))
+    reflected = radiance - direct
+    mean = reflected.mean().item()
     if mean == 0 or not math.isfinite(mean):
         return image.detach().clamp_min(0)
     # Normalize, since the denoiser treats very dark images as black. A power of two scales without rounding.
     scale = math.ldexp(1.0, math.frexp(mean)[1])
-    color = (radiance / scale).to(torch.float32).numpy()
+    color = (reflected / scale).to(torch.float32).numpy()
     aux = {} if guides is None else {"albedo": guides.albedo.numpy(), "normal": guides.normal.numpy()}
     denoised = pyoidn.denoise(color, hdr=True, clean_aux=bool(aux), **aux)
-    return (torch.from_numpy(denoised).double() * scale).to(image)
+    return (torch.from_numpy(denoised).double() * scale + direct).to(image)

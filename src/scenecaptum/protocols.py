@@ -145,7 +145,7 @@ class Capabilities:
     plan = _Offer[Any]("Integrator, depth and derivatives.")
     up = _Offer[int]("The axis of the scene that points up: 0, 1 or 2.")
     shows_a_view = _Offer[bool]("Whether neighbouring pixels show neighbouring directions.")
-    guides = _Offer[Any]("Noise-free albedo and normals for the denoiser.")
+    guides = _Offer[Any]("Noise-free albedo, normals and emission for the denoiser.")
     surfaces = _Offer[Any]("What each pixel shows.")
     checkpoint = _Offer[Any]("Where finished renders are stored.")
     parameters_table = _Offer[Callable[[], Mapping[str, Any]]]("Describes every parameter of the scene.")

@@ -1,7 +1,8 @@
-"""Albedo and normals that guide the denoiser."""
+"""Albedo, normals and emission that guide the denoiser."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -131,3 +132,48 @@ def test_the_captum_bridge_denoises_with_the_guides_of_the_poses() -> None:
     expected = denoise(image, renderer.guides_of(values))
     assert not torch.allclose(expected, denoise(image, renderer.guides), rtol=0.02)
     torch.testing.assert_close(found.reshape(image.shape), expected, rtol=1e-4, atol=1e-5)
+
+
+def lamp_before_a_wall(mi: Any, **integrator: Any) -> SceneRenderer:
+    """A bulb of 40 × 1 W/(m² sr) that covers a few pixels, before a wall that it lights."""
+    bulb = {"type": "area", "radiance": {"type": "rgb", "value": 40.0}}
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 3, **integrator},
+        "camera": camera(mi),
+        "wall": {"type": "rectangle", "to_world": mi.ScalarTransform4f().translate([0, 0, -1]).scale(5)},
+        "bulb": {"type": "sphere", "radius": 0.15, "emitter": bulb, "bsdf": {"type": "diffuse"}},
+    }
+    return SceneRenderer(scene, "emitters", spp=8)
+
+
+def test_a_small_lamp_is_as_bright_in_the_denoised_picture_as_it_is(mi: Any) -> None:
+    renderer = lamp_before_a_wall(mi)
+    emission = renderer.guides.emission
+    assert emission is not None
+    assert 35 < emission.max() <= 40
+    assert (emission[0] == 0).all()
+    image = renderer(renderer.inputs, seed=shifted())
+    denoised = denoise(image, renderer.guides)
+    inside = emission.amin(-1) > 35
+    assert inside.any()
+    torch.testing.assert_close(denoised[inside].mean(), image[inside].mean(), rtol=0.02, atol=0.0)
+    truth = renderer(renderer.inputs, seed=shifted(1), spp=4096)
+    without = denoise(image, dataclasses.replace(renderer.guides, emission=None))
+    errors = [(one - truth).square().mean().sqrt().item() for one in (denoised, without)]
+    assert errors[0] < errors[1]
+
+
+def test_a_lamp_that_values_switch_off_is_not_in_the_denoised_picture(mi: Any) -> None:
+    renderer = lamp_before_a_wall(mi)
+    dimmed = {name: 0.01 * value for name, value in renderer.inputs.items()}
+    image = renderer(dimmed, seed=shifted())
+    guides = renderer.guides_of(dimmed)
+    assert denoise(image, guides).max() < 0.5
+    assert guides.emission is not None
+    assert renderer.guides.emission is not None
+    torch.testing.assert_close(guides.emission, 0.01 * renderer.guides.emission)
+
+
+def test_lamps_that_are_hidden_from_the_camera_have_no_emission(mi: Any) -> None:
+    assert lamp_before_a_wall(mi, hide_emitters=True).guides.emission is None

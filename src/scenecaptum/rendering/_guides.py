@@ -1,4 +1,4 @@
-"""Guide images for a denoiser: albedo and shading normals, without noise."""
+"""Guide images for a denoiser without noise: albedo, shading normals, and the light of visible lamps."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ import numpy as np
 import torch
 
 from ..denoising import Guides
-from ._visibility import RAYS, batches, camera_rays, follow_specular
+from ._visibility import RAYS, batches, camera_rays, film_position, follow_specular
 
 
-def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides:
+def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int], *, emission: bool) -> Guides:
     """Trace camera rays through mirrors and glass to the first surface that scatters light.
+
+    With ``emission``, the guides have the light of the visible lamps and the background, unless a lens blurs it.
 
     Each pixel averages the same stratified rays at every call, so the guides have no noise. Emitters and the
     background have an albedo of 1, as Open Image Denoise's documentation requires; outside a fisheye's circle it
@@ -23,7 +25,22 @@ def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int]) -> Guides
     width, height = resolution
     parts = [_guide_rays(scene, sensor, resolution, *pixels) for pixels in batches(resolution)]
     albedo, normal = (np.concatenate(part).reshape(height, width, 3) for part in zip(*parts, strict=True))
-    return Guides(torch.from_numpy(albedo), torch.from_numpy(normal))
+    light = _emission(scene, sensor, resolution) if emission and not sensor.needs_aperture_sample() else None
+    return Guides(torch.from_numpy(albedo), torch.from_numpy(normal), light)
+
+
+def _emission(scene: Any, sensor: Any, resolution: tuple[int, int]) -> torch.Tensor:
+    """Return the light of the lamps and the background that rays meet first, through the film's filter."""
+    block = mi.ImageBlock(resolution, (0, 0), 4, rfilter=sensor.film().rfilter(), border=False)
+    with dr.suspend_grad():
+        for first, count in batches(resolution):
+            ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
+            si = scene.ray_intersect_preliminary(ray, coherent=True).compute_surface_interaction(ray)
+            light = weight * si.emitter(scene).eval(si)
+            block.put(film_position(resolution, pixel, point), [*light, mi.Float(1.0)])
+            dr.eval(block.tensor())
+        filtered: torch.Tensor = block.tensor().torch().cpu()
+    return filtered[..., :3] / filtered[..., 3:]
 
 
 def _guide_rays(

@@ -7,7 +7,7 @@ import math
 import traceback
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NoReturn, TypeVar, cast
+from typing import Any, Literal, NoReturn, TypeAlias, TypeVar, cast
 
 import numpy as np
 import torch
@@ -68,6 +68,10 @@ from ._sensors import (
 from ._small_lamp import SmallLamp
 
 T = TypeVar("T")
+
+_Shown: TypeAlias = (
+    "tuple[Moved, dict[str, torch.Tensor]]"  # poses and lights that differ from the scene's own
+)
 
 FILLED = 0.5  # the fraction of a pixel from which a lamp dominates it
 
@@ -313,7 +317,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             )
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
-        self._guides: tuple[Moved, Guides] | None = None  # of the last poses
+        self._guides: tuple[_Shown, Guides] | None = None  # of the last poses and lights
         self._views = [
             make_view(
                 LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
@@ -803,26 +807,39 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     @property
     def guides(self) -> Guides:
-        """Albedo and normals without noise, for a denoiser: ``(H, W, 3)``, or ``(cameras, H, W, 3)`` for a list.
+        """Images without noise, for a denoiser: ``(H, W, 3)``, or ``(cameras, H, W, 3)`` for a list.
 
-        They are those of the first surface that scatters light, through mirrors and glass, with the scene's own
-        values.
+        Albedo and normals are those of the first surface that scatters light, through mirrors and glass; the
+        emission is that of the first surface. All have the scene's own values.
         """
         return self.guides_of({})
 
     def guides_of(self, values: Mapping[str, torch.Tensor]) -> Guides:
-        """Return ``guides`` where objects and the camera are as in ``values``; materials are the scene's own."""
+        """Return ``guides`` with objects, camera and lights as in ``values``; materials are the scene's own."""
         from ._guides import trace_guides
 
-        moved = self._moved(values)
-        if self._guides is None or self._guides[0] != moved:
+        shown = self._moved(values), self._lit(values)
+        if self._guides is None or not _is_same(self._guides[0], shown):
+            shows_lamps = not (
+                self.plan.hide_emitters or self.plan.kind.media
+            )  # a medium attenuates their light
+            changed = {name: values[name] for name in (*dict(shown[0]), *shown[1])}
             guides = []
             for view in self._views:
-                with view.live.with_values({name: values[name] for name, _ in moved}):
-                    guides.append(trace_guides(view.live.scene, view.live.sensor, self.resolution))
-            stacks = torch.stack([g.albedo for g in guides]), torch.stack([g.normal for g in guides])
-            self._guides = moved, Guides(*stacks) if self._stacked else guides[0]
+                with view.live.with_values(changed):
+                    scene, sensor = view.live.scene, view.live.sensor
+                    guides.append(trace_guides(scene, sensor, self.resolution, emission=shows_lamps))
+            self._guides = shown, Guides.stacked(guides) if self._stacked else guides[0]
         return self._guides[1]
+
+    def _lit(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return the values of lights among ``values`` that differ from those of the scene as loaded."""
+        lights = [name for name in values if name in self._table and self._table[name].kind == "emitters"]
+        return {
+            name: values[name].detach().clone()
+            for name in lights
+            if not self._table[name].moves and not self._state.is_original(name, values[name])
+        }
 
     def _moved(self, values: Mapping[str, torch.Tensor] | None) -> Moved:
         """Return the poses among ``values`` that differ from those of the scene as loaded."""
@@ -1236,6 +1253,16 @@ def _variant_of(scene: SceneLike) -> str | None:
             "scenecaptum.activate('llvm_ad_rgb'), or pass its file or dict."
         )
     return variant
+
+
+def _is_same(one: _Shown, other: _Shown) -> bool:
+    """Whether poses and lights are the same."""
+    (poses, lights), (other_poses, other_lights) = one, other
+    return (
+        poses == other_poses
+        and lights.keys() == other_lights.keys()
+        and all(torch.equal(value, other_lights[name]) for name, value in lights.items())
+    )
 
 
 def _mean_of_texels(value: torch.Tensor) -> Any:

@@ -126,18 +126,22 @@ def camera_rays(
     sensor: Any, resolution: tuple[int, int], first: int, count: int
 ) -> tuple[Any, Any, Any, Any]:
     """Return ``RAYS`` rays through each of ``count`` pixels, their weights, pixels and indices in the pixel."""
-    width, height = resolution
     index = dr.arange(mi.UInt32, count * RAYS)
     pixel, point = dr.opaque(mi.UInt32, first) + index // RAYS, index % RAYS
-    # The point's index in reversed bit order, as a fraction.
-    reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
-    position = mi.Point2f(
-        (mi.Float(pixel % width) + (mi.Float(point) + 0.5) / RAYS) / width,
-        (mi.Float(pixel // width) + (mi.Float(reversed_bits) + 0.5) / RAYS) / height,
-    )
+    position = film_position(resolution, pixel, point) / mi.Point2f(resolution)
     # With differentials, without which an irradiance meter has no rays.
     ray, weight = sensor.sample_ray_differential(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
     return one_for_each(ray, position), weight, pixel, point
+
+
+def film_position(resolution: tuple[int, int], pixel: Any, point: Any) -> Any:
+    """Return where on the film, in pixels, rays begin that have these indices in these pixels."""
+    # The point's index in reversed bit order, as a fraction.
+    reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
+    return mi.Point2f(
+        mi.Float(pixel % resolution[0]) + (mi.Float(point) + 0.5) / RAYS,
+        mi.Float(pixel // resolution[0]) + (mi.Float(reversed_bits) + 0.5) / RAYS,
+    )
 
 
 def follow_specular(scene: Any, ray: Any, hit: Any, pixel: Any, point: Any) -> tuple[Any, Any]:

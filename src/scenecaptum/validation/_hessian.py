@@ -155,11 +155,7 @@ class _StencilRenderer:
     def guides_of(self, inputs: Mapping[str, torch.Tensor]) -> Guides | None:
         """Return the guides of each scene of the stencil, as one stack; None if the renderer has none."""
         guides = [found for scene in self._scenes(inputs) if (found := guides_of(self.renderer, scene))]
-        if not guides:
-            return None
-        return Guides(
-            torch.stack([one.albedo for one in guides]), torch.stack([one.normal for one in guides])
-        )
+        return Guides.stacked(guides) if guides else None
 
     def _scenes(self, inputs: Mapping[str, torch.Tensor]) -> list[dict[str, torch.Tensor]]:
         values = {**self.values, **inputs}
