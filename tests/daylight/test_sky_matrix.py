@@ -199,6 +199,7 @@ def test_standard_skies_have_the_illuminance_that_was_asked_for(make, patches):
     assert sky.horizontal_illuminance().item() == pytest.approx(12_345, rel=1e-5)
     ground = EFFICACY * (sky.radiance[0, 0] * torch.tensor(WEIGHTS)).sum()
     assert ground.item() == pytest.approx(0.3 * 12_345 / math.pi, rel=1e-6)
+    assert sky.ground_reflectance == pytest.approx(0.3, rel=1e-5)
 
 
 def test_the_overcast_sky_is_three_times_as_bright_at_the_zenith_as_at_the_horizon():

@@ -213,6 +213,12 @@ class SkyMatrix:
         """Number of hours."""
         return self.radiance.shape[1]
 
+    @property
+    def ground_reflectance(self) -> float:
+        """The reflectance of the ground, which is diffuse: a mean over the hours."""
+        luminance = EFFICACY * self.radiance[0] @ self.radiance.new_tensor(LUMINANCE_WEIGHTS)
+        return math.pi * (luminance.sum() / self.horizontal_illuminance().sum()).item()
+
     def select(self, mask: torch.Tensor) -> SkyMatrix:
         """Return the hours of a ``(hours,)`` bool mask, such as ``weather.occupied()``."""
         check_mask(mask, self.hours)

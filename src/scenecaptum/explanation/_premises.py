@@ -54,8 +54,9 @@ def sky_premises(metric: Metric, *, made_up: bool) -> tuple[str, ...]:
         return ()
     weather = metric.sky.weather
     if weather is None:
+        ground = f"the ground beyond the scene reflects {100 * metric.sky.ground_reflectance:.0f} %"
         return (
-            "sky: the CIE overcast sky",
+            f"sky: the CIE overcast sky; {ground}",
             "a daylight factor has no classes; the metric en17037 rates a room",
         )
     if made_up:
