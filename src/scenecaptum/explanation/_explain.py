@@ -37,7 +37,7 @@ from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
 from ..rendering import SceneRenderer
 from ..validation import Scenes, denoise_of
-from ..visualization import Format, advised, rounded
+from ..visualization import Format, advised, cautions_among, rounded
 from ._changes import propose, rendered, why_none
 from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
@@ -170,7 +170,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         lamps = renderer.small_lamps if isinstance(renderer, SceneRenderer) else {}
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
-            premises += _threshold_at(goal, scenes, metric, shown)
+            premises += _said_of(goal, scenes, metric, shown)
     return Explanation(
         attribution,
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
@@ -204,18 +204,21 @@ def _reach(below: float, search: Search, *, show_progress: bool) -> Optimization
     return more if more.reached else min(more, alone, key=lambda found: found.after.order)
 
 
-def _threshold_at(
+def _said_of(
     goal: Optimization, scenes: Scenes, metric: GlareRating, before: torch.Tensor
 ) -> tuple[str, ...]:
-    """Return what the rating of a design owes to the threshold: a source that it dims may not count any more."""
+    """Return what the rating of a design owes to the threshold, and what it lacks of lamps below a pixel.
+
+    A source that the design dims may not count any more.
+    """
     after = at_values(scenes.metric, scenes.renderer, goal.values).transform(goal.after.image)
-    if metric.threshold_factor is not None or not any(
-        is_near_threshold(metric, one) for one in (before, after)
-    ):
-        return ()
-    style = Format.of(goal.after.value, goal.after.error)
+    said = []
+    if metric.threshold_factor is None and any(is_near_threshold(metric, one) for one in (before, after)):
+        said.append(relative_sentence(metric, after, Format.of(goal.after.value, goal.after.error)))
+    if isinstance(scenes.renderer, SceneRenderer):
+        said += cautions_among(small_lamp_notes(metric, after, scenes.renderer.small_lamps))
     whose = AT_THE_GOAL if goal.reached else "of the design that was tried"
-    return (f"{whose}: {relative_sentence(metric, after, style)}",)
+    return tuple(f"{whose}: {text}" for text in said)
 
 
 def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tensor:

@@ -86,7 +86,7 @@ def small_lamp_notes(metric: GlareRating, image: torch.Tensor, lamps: Mapping[st
     return [
         advised(
             f"caution: {first_few([*bright])} {cover} less than half of any pixel: {their} light is averaged with "
-            f"what is around {them}, so that the rating is too low, by about {rounded(missing)}",
+            f"what is around {them}, so that the rating is too low, by about {rounded(missing, 2)}",
             "use a higher resolution",
         )
     ]
