@@ -860,6 +860,8 @@ def test_axes_of_the_caller_that_are_too_low_or_cut_texts_off_warn() -> None:
         plot_bars(make(), ax=Figure(figsize=(7.0, 1.0)).add_subplot())
     with pytest.warns(UserWarning, match="Use layout='constrained'"):
         plot_bars(make(), ax=Figure(figsize=(7.0, 2.5)).add_subplot())
+    with pytest.warns(UserWarning, match="height of .* Use a larger figure, or a smaller top="):
+        plot_specificity([make(), make(method="Other")], figure=Figure(figsize=(12, 3), layout="constrained"))
     first, second = Figure(figsize=(7.0, 5.0), layout="constrained").subplots(2, 1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

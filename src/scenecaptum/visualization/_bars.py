@@ -9,6 +9,7 @@ from ..protocols import Attribution, RankedParameter, Scale
 from ._effect_notes import light_notes, range_marked, range_notes
 from ._figures import (
     DEFAULT_TOP,
+    LEAST_BARS,
     LOWERS,
     NO_CAPTIONS,
     RAISES,
@@ -62,7 +63,6 @@ _MAX_NAMES = 6
 _LONGEST = 80  # characters of a line of the legend
 _LEGEND_PATCH = 0.4  # inches, before the text of each entry
 _BAR, _LEAST_BAR = 0.21, 0.13  # inches of each bar: by default, and at least
-_LEAST_BARS = 0.8  # width in inches of the axes of a caller
 _SIGN = 0.2  # inches, beside the end of a bar
 
 
@@ -139,7 +139,7 @@ def plot_bars(
     add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
     if not own:
         options = [NO_CAPTIONS, "a smaller top="] if captions else ["a smaller top="]
-        warn_if_cramped(ax, Room(_LEAST_BAR * len(rows), _LEAST_BARS, options))
+        warn_if_cramped(ax, Room(_LEAST_BAR * len(rows), LEAST_BARS, options))
     elif figsize is not None:
         check_height(ax, _LEAST_BAR * len(rows))
     return figure_of(ax)

@@ -34,6 +34,7 @@ SIGNS = {RAISES: "+", LOWERS: "−", UNCLEAR: "±"}
 WIDTH = 7.2  # text width of a page in inches
 _ENOUGH = 20.0  # inches, for all texts of a figure
 NO_CAPTIONS = "captions=False"  # the option of a plot that leaves the texts out
+LEAST_BARS = 0.8  # width in inches of bars in the axes of a caller
 LEAST_WIDTH = 4.5  # in which the texts of a figure fit
 TITLE, TEXT, SMALL = 10.0, 8.5, 7.5  # font sizes in points
 DEFAULT_TOP = 15  # parameters in a figure

@@ -11,14 +11,17 @@ from ..protocols import Attribution, RankedParameter, Scale
 from ._bars import bar_doubts, bar_legend, bar_notes, draw_bars
 from ._figures import (
     DEFAULT_TOP,
+    LEAST_BARS,
     SMALL,
     TEXT,
     TITLE,
+    Room,
     characters_per_line,
     figure_of,
     first,
     new_figure,
     style_axes,
+    warn_if_cramped,
 )
 from ._finding import finding
 from ._layout import wrap, wrapped_lines
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
 
 _COLUMN_WIDTH, _MAX_MAP_HEIGHT = 3.6, 3.6  # inches
 _NAME_WIDTH = 26
-_ROW_HEIGHT = 0.19  # inches
+_ROW_HEIGHT, _LEAST_ROW = 0.19, 0.12  # inches: by default, and at least in a figure of a caller
 
 
 def plot_specificity(
@@ -105,7 +108,7 @@ def plot_specificity(
     if legend:
         style: dict[str, Any] = {"loc": "outside lower center", "ncols": legend_columns, "frameon": False}
         upper.legend(handles=list(legend.values()), fontsize=SMALL, **style)
-    axes = lower.subplots(1, columns, squeeze=False)[0]
+    bar_axes, axes = axes, lower.subplots(1, columns, squeeze=False)[0]
     if footnotes:
         lower.supxlabel("\n".join(footnotes), fontsize=SMALL, x=0.02, ha="left", parse_math=False)
     mapped = [draw_map(ax, heat, signed=signed) for ax, heat in zip(axes, heats, strict=True)]
@@ -113,6 +116,9 @@ def plot_specificity(
     noisy = signed and any(objects_of_unclear_sign(one, scale=scale) for one in attributions)
     unclear = "; white:\nsign lost in the noise" if noisy else ""
     bar.set_label(f"relative to the largest\n{'of all' if shared else 'in each'}{unclear}", fontsize=SMALL)
+    if figure is not None:
+        least = Room(_LEAST_ROW * max(map(len, rows)), LEAST_BARS, ["a smaller top="])
+        warn_if_cramped(bar_axes[0], least)
     return figure_of(part)
 
 
