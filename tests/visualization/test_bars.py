@@ -69,6 +69,14 @@ def test_omitted_bars_and_missing_whiskers_are_noted() -> None:
     assert "not shown" not in all_text(plot_bars(make(), top=None))
 
 
+def test_effects_of_a_relaxed_value_are_called_so() -> None:
+    found = make()
+    relaxed = dataclasses.replace(found, info={**found.info, "relaxed": True})
+    for one, is_said in ((relaxed, True), (found, False)):
+        for text in (str(one), all_text(plot_bars(one))):
+            assert ("change of relaxed" in " ".join(text.split())) is is_said
+
+
 def test_a_light_that_is_off_has_its_number_in_place_of_a_bar() -> None:
     rows = [("lamp", -50.0, 0.0), ("desk", 1.0, 0.5), ("wall", -0.5, 0.5)]
     on = of_values(*rows, errors=0.1)
@@ -99,6 +107,9 @@ def test_bars_of_lights_have_the_note_of_a_metric_that_is_not_linear_in_the_ligh
     for seen, groups in ((lit.surfaces, "object"), (None, "material")):
         (line,) = light_notes(dataclasses.replace(lit, surfaces=seen), lit.ranking())
         assert f'groups="{groups}"' in line, "a sensor grid has no objects to group by"
+    with_sky = of_values(("sky", -900.0, 0.0), ("lamp", -50.0, 0.0), errors=0.1)
+    dark = {**with_sky.info, "lights_on": ["lamp"], "lights_off": ["sky"]}
+    assert note in " ".join(all_text(plot_bars(dataclasses.replace(with_sky, info=dark))).split())
     linear = dataclasses.replace(lit, info={**lit.info, "linear_in_light": True})
     for other in (found, linear):
         assert note not in " ".join(all_text(plot_bars(other)).split())

@@ -58,7 +58,9 @@ def light_notes(
     if kind is not ResultKind.EFFECT or attribution.info.get("linear_in_light"):
         return []
     on, allowed = attribution.info.get("lights_on", ()), clear_from(attribution.info)
-    least = _NOTABLE * max((row.saliency for row in attribution.ranking(scale=scale)), default=0.0)
+    last = attribution.ranked_last(scale)  # such as of lights that are off, however large
+    ranked = [row.saliency for row in attribution.ranking(scale=scale) if row.name not in last]
+    least = _NOTABLE * max(ranked, default=0.0)
     if not any(
         row.name in on and row.saliency > max(least, allowed * (row.saliency_error or 0.0)) for row in rows
     ):

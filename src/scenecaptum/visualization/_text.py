@@ -144,7 +144,9 @@ def axis_label(
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if metric is None:
         metric = with_unit_of_effects(attribution, metric_name(attribution, width))
-    label = kind.axis_label.format(f"relaxed {metric}" if is_relaxed else metric)
+        if is_relaxed or attribution.info.get("relaxed"):
+            metric = f"relaxed {metric}"
+    label = kind.axis_label.format(metric)
     return f"ℓ2 norm of the {label}" if attribution.ranks_by_norm(scale) else label
 
 
