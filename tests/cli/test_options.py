@@ -247,7 +247,7 @@ CASES: dict[str, Case] = {
         ["validation.csv", "validation.json", "validation.png"],
     ),
     "validate a glare rating": (
-        f"validate {SCENE} --spp 64 --metric ugr --threshold-factor 2 --top 1 --out out",
+        f"validate {SCENE} --spp 1024 --metric ugr --threshold-factor 2 --top 1 --out out",
         0,
         ["Confirmed"],
         ["validation.csv", "validation.json", "validation.png"],
