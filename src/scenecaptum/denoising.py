@@ -34,7 +34,7 @@ class Guides:
     normal: torch.Tensor
     emission: torch.Tensor | None = None
 
-    def without_lamps(self) -> Guides:
+    def keeping_lamps(self) -> Guides:
         """Return guides by which whole pixels that show lamps are left as they are.
 
         So denoised, a picture and its derivative by the light of all lamps stay proportional.

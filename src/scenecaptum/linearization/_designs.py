@@ -147,11 +147,11 @@ class Designs:
         """Return a denoised picture of few pixels with few samples."""
         with torch.no_grad():
             image = self._rough(self.values(design), seed=self.seeds[0], spp=ROUGH_SPP).detach()
-        return denoised(image, self._rough.guides_of(self.values(design)).without_lamps())
+        return denoised(image, self._rough.guides_of(self.values(design)).keeping_lamps())
 
     def denoised(self, image: torch.Tensor, design: Design) -> torch.Tensor:
         """Return a picture without noise: an ``image`` of a ``design``."""
-        return denoised(image, self.renderer.guides_of(self.values(design)).without_lamps())
+        return denoised(image, self.renderer.guides_of(self.values(design)).keeping_lamps())
 
     def metrics_of(self, design: Design) -> list[TargetedMetric]:
         """Return the metrics for pictures of a design, whose poses a denoiser has to know."""

@@ -297,7 +297,7 @@ def _denoise_signed(image: torch.Tensor, guides: Guides) -> torch.Tensor:
     """Denoise an image that may be negative, which the denoiser does not take: lift it, and lower it again."""
     below = -image.amin(-1).flatten()
     lift = max(0.0, below.kthvalue(max(1, round(_COMMON * len(below)))).values.item())
-    return denoise(image + lift, guides.without_lamps()) - lift
+    return denoise(image + lift, guides.keeping_lamps()) - lift
 
 
 class _FirstOrder:

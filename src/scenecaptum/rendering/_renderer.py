@@ -820,9 +820,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
         shown = self._moved(values), self._lit(values)
         if self._guides is None or not _is_same(self._guides[0], shown):
-            shows_lamps = not (
-                self.plan.hide_emitters or self.plan.kind.media
-            )  # a medium attenuates their light
+            # A medium attenuates their light.
+            shows_lamps = not (self.plan.hide_emitters or self.plan.kind.media)
             changed = {name: values[name] for name in (*dict(shown[0]), *shown[1])}
             guides = []
             for view in self._views:
