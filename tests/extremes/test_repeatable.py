@@ -1,7 +1,7 @@
 """The same seed gives the same result: again, after anything else, on any number of threads, in any process.
 
-Images repeat bit by bit. Gradients are summed by atomic additions, whose order no seed fixes: they repeat to
-about 1e-6 of their size; 1e-5 is guaranteed.
+On one thread images repeat bit by bit. Threads add samples in an order that no seed fixes: images and gradients
+repeat to about 1e-6 of their size; 1e-5 is guaranteed.
 """
 
 from __future__ import annotations
@@ -90,7 +90,8 @@ def expected(mi: Any) -> tuple[torch.Tensor, Tensors, Tensors]:
 @pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.long), 4])
 def test_on_any_number_of_threads(expected: Any, count: int) -> None:
     with threads(count):
-        assert_same(picture_and_gradients(make("cornell-box")), expected)
+        found = picture_and_gradients(make("cornell-box"))
+    assert_same(found, expected, picture=PROMISED if count > 1 else 0.0)
 
 
 def test_whatever_was_rendered_before(expected: Any) -> None:
@@ -152,4 +153,5 @@ def test_in_a_fresh_process(mi: Any, scene: str, count: int) -> None:
     picture_and_gradients(renderer)
     used = picture_and_gradients(renderer)
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        assert_same(pool.submit(in_a_process_of_its_own, scene, count).result(), used)
+        found = pool.submit(in_a_process_of_its_own, scene, count).result()
+    assert_same(found, used, picture=PROMISED)

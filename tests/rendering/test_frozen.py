@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -51,9 +52,17 @@ def test_the_derivative_of_a_lobe_that_is_off_is_not_zero(mi: Any) -> None:
 
 
 @pytest.fixture
-def recorded(mi: Any, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def collector_off() -> Iterator[None]:
+    """Keep the garbage of a test: a scene of another test that is freed in between is a reason to record again."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@pytest.fixture
+def recorded(mi: Any, monkeypatch: pytest.MonkeyPatch, collector_off: None) -> list[str]:
     """The modes of all recordings of our integrator so far."""
-    gc.collect()  # the scenes of other tests, which are part of a recording as long as they exist
     from scenecaptum.rendering.integrators.path import ReplayIntegrator
 
     modes: list[str] = []
@@ -162,7 +171,6 @@ def check_recordings(recorded: list[str], renderer: SceneRenderer, name: str) ->
         else:
             METHODS[name].create(renderer, glare).attribute(seed=seed, spp=spp, **FEW.get(name, {}))
 
-    gc.collect()  # a scene of another test that is freed in between is a reason to record again
     run(1, 16), run(2, 16)
     # A pilot is rendered if the noise of a run asks for it, which may be that of the last run only.
     for spp in (17, 18):
