@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -10,7 +12,49 @@ import numpy as np
 import torch
 
 from ..denoising import Guides
+from ..scene import Moved
+from ._live_scene import LiveScene
 from ._visibility import RAYS, batches, camera_rays, film_position, follow_specular
+
+
+class Shown(NamedTuple):
+    """What guides depend on: the poses and lights that differ from those of the scene as loaded."""
+
+    moved: Moved
+    lit: Mapping[str, torch.Tensor]
+
+    def is_same(self, other: Shown) -> bool:
+        """Whether poses and lights are the same."""
+        return (
+            self.moved == other.moved
+            and self.lit.keys() == other.lit.keys()
+            and all(torch.equal(value, other.lit[name]) for name, value in self.lit.items())
+        )
+
+
+@dataclass(eq=False)
+class LastGuides:
+    """The guides of a renderer's pictures, kept for the poses and lights they were last traced with.
+
+    ``stacked`` pictures have a dimension of sensors.
+    """
+
+    scenes: Sequence[LiveScene]  # of each sensor
+    stacked: bool
+    emission: bool  # as for ``trace_guides``
+    _last: tuple[Shown, Guides] | None = None
+
+    def of(self, values: Mapping[str, torch.Tensor], shown: Shown) -> Guides:
+        """Return the guides with the poses and lights of ``values``; these are named in ``shown``."""
+        if self._last is None or not self._last[0].is_same(shown):
+            changed = {name: values[name] for name in (*dict(shown.moved), *shown.lit)}
+            guides = [self._trace(live, changed) for live in self.scenes]
+            self._last = shown, Guides.stacked(guides) if self.stacked else guides[0]
+        return self._last[1]
+
+    def _trace(self, live: LiveScene, values: Mapping[str, torch.Tensor]) -> Guides:
+        with live.with_values(values):
+            return trace_guides(live.scene, live.sensor, live.resolution, emission=self.emission)
 
 
 def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int], *, emission: bool) -> Guides:

@@ -7,7 +7,7 @@ import math
 import traceback
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NoReturn, TypeAlias, TypeVar, cast
+from typing import Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
 import torch
@@ -68,10 +68,6 @@ from ._sensors import (
 from ._small_lamp import SmallLamp
 
 T = TypeVar("T")
-
-_Shown: TypeAlias = (
-    "tuple[Moved, dict[str, torch.Tensor]]"  # poses and lights that differ from the scene's own
-)
 
 FILLED = 0.5  # the fraction of a pixel from which a lamp dominates it
 
@@ -307,6 +303,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     def _prepare(self, resolution: tuple[int, int], plan: RenderPlan) -> None:
         """Create a view for each sensor, all on the same scene."""
+        from ._guides import LastGuides
         from ._live_scene import LiveScene
         from ._view import make_view
 
@@ -317,7 +314,6 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             )
         self.resolution = resolution
         self.plan = dataclasses.replace(plan, memory=self.memory(pictures=1))
-        self._guides: tuple[_Shown, Guides] | None = None  # of the last poses and lights
         self._views = [
             make_view(
                 LiveScene(self._graph, sensor, self._state, resolution, borrowed=self._borrowed),
@@ -328,6 +324,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             )
             for sensor in self._sensors
         ]
+        # A medium attenuates the light of lamps.
+        shows_lamps = not (plan.hide_emitters or plan.kind.media)
+        self._guides = LastGuides([view.live for view in self._views], self._stacked, shows_lamps)
         self._attach_checkpoint()
 
     def _attach_checkpoint(self) -> None:
@@ -816,20 +815,9 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     def guides_of(self, values: Mapping[str, torch.Tensor]) -> Guides:
         """Return ``guides`` with objects, camera and lights as in ``values``; materials are the scene's own."""
-        from ._guides import trace_guides
+        from ._guides import Shown
 
-        shown = self._moved(values), self._lit(values)
-        if self._guides is None or not _is_same(self._guides[0], shown):
-            # A medium attenuates their light.
-            shows_lamps = not (self.plan.hide_emitters or self.plan.kind.media)
-            changed = {name: values[name] for name in (*dict(shown[0]), *shown[1])}
-            guides = []
-            for view in self._views:
-                with view.live.with_values(changed):
-                    scene, sensor = view.live.scene, view.live.sensor
-                    guides.append(trace_guides(scene, sensor, self.resolution, emission=shows_lamps))
-            self._guides = shown, Guides.stacked(guides) if self._stacked else guides[0]
-        return self._guides[1]
+        return self._guides.of(values, Shown(self._moved(values), self._lit(values)))
 
     def _lit(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Return the values of lights among ``values`` that differ from those of the scene as loaded."""
@@ -1252,16 +1240,6 @@ def _variant_of(scene: SceneLike) -> str | None:
             "scenecaptum.activate('llvm_ad_rgb'), or pass its file or dict."
         )
     return variant
-
-
-def _is_same(one: _Shown, other: _Shown) -> bool:
-    """Whether poses and lights are the same."""
-    (poses, lights), (other_poses, other_lights) = one, other
-    return (
-        poses == other_poses
-        and lights.keys() == other_lights.keys()
-        and all(torch.equal(value, other_lights[name]) for name, value in lights.items())
-    )
 
 
 def _mean_of_texels(value: torch.Tensor) -> Any:
