@@ -228,6 +228,18 @@ def test_an_environment_turns(mi: Any) -> None:
     same_pictures(scene(ball=ball, sky=sky), scene(ball=ball, sky=turned), pose("sky", "rotation"))
 
 
+def test_an_environment_that_turns_is_painted_on_the_background(mi: Any) -> None:
+    sky = {"type": "envmap", "bitmap": mi.Bitmap(np.ones((2, 4, 3), np.float32))}
+    names = ["sky.pose.rotation", "beam.pose.rotation", "ball.pose.rotation"]
+    beam = {"type": "directional", "irradiance": 2.0}
+    renderer = SceneRenderer(scene(ball={"type": "sphere"}, sky=sky, beam=beam), names, spp=1)
+    surfaces = renderer.surfaces
+    assert surfaces is not None
+    assert np.array_equal(surfaces.shown(names[:1]), surfaces.mask("background"))
+    assert not surfaces.shown(names[1:2]).any()  # the camera does not see a beam
+    assert np.array_equal(surfaces.shown(names[2:]), surfaces.mask("ball"))
+
+
 def test_the_camera_moves(mi: Any) -> None:
     own = camera()["to_world"]
     other = camera(to_world=moved((0, -6, 1), scale=False) @ own, fov=44.0)

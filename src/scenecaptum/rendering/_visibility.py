@@ -62,9 +62,7 @@ def trace_surfaces(
         object_index=np.concatenate([part.object_index for part in parts]),
         fraction=np.concatenate([part.fraction for part in parts]),
         objects=objects,
-        parameters=_shown_parameters(
-            graph, parameters, [*((name, below) for name, _, below in shapes), ("", graph.background())]
-        ),
+        parameters=_shown_parameters(graph, parameters),
         texels={
             texture.name: _concatenated([part.texels[i] for part in parts], offsets)
             for i, texture in enumerate(textures)
@@ -234,16 +232,18 @@ def _object_of_shape(shapes: list[Any]) -> Indices:
     return objects
 
 
-def _shown_parameters(
-    graph: SceneGraph, parameters: SceneParameters, objects: list[tuple[str, set[Any]]]
-) -> tuple[tuple[str, ...], ...]:
-    """Return the parameters of each object, given with its name and the nodes that it depends on."""
+def _shown_parameters(graph: SceneGraph, parameters: SceneParameters) -> tuple[tuple[str, ...], ...]:
+    """Return the parameters that each shape of the scene shows, then those of the background."""
     nodes = {name: node for name, (_, _, node, _) in mi.traverse(graph.scene).properties.items()}
-    poses = {name: p.shapes for name, p in parameters.items() if p.moves and not p.problem}
+    poses = {name: p for name, p in parameters.items() if p.moves and not p.problem}
+    shapes, background = graph.shapes(), graph.background()
+    moving = [[name for name, p in poses.items() if shape in p.shapes] for shape, _, _ in shapes]
+    sky = {owner for name, node in nodes.items() if node in background for owner in parameters[name].owners}
+    moving.append([name for name, p in poses.items() if not p.shapes and sky.intersection(p.owners)])
     return tuple(
         (
             *(name for name, node in nodes.items() if node in below and not parameters[name].problem),
-            *(name for name, shapes in poses.items() if shape in shapes),
+            *poses_of_it,
         )
-        for shape, below in objects
+        for below, poses_of_it in zip([*(below for _, _, below in shapes), background], moving, strict=True)
     )
