@@ -250,6 +250,9 @@ class GridPoints:
         above it, and the material of the shape; empty of other points.
     open_above
         The number of points above a floor that have nothing straight above them, no ceiling and no glass.
+    covered
+        The number of points above a floor that are right below a surface that blocks their light, such as a table
+        top.
     """
 
     positions: torch.Tensor = field(repr=False)
@@ -261,6 +264,7 @@ class GridPoints:
     above: float = 0.0
     material: str = ""
     open_above: int = 0
+    covered: int = 0
 
     def as_list(self) -> GridPoints:
         """Return the points that are inside, in rows of one point."""

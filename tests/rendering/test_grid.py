@@ -14,6 +14,7 @@ from seeds import seeds, shifted
 from side_lit import at, grey, rgb, room, side_lit_room, walls
 
 from scenecaptum import SceneCaptumError, SceneRenderer, SensorGrid, VanillaSceneGradient, metrics
+from scenecaptum.explanation import grid_premises
 from scenecaptum.grid import en_12464_spacing
 
 Config = dict[str, Any]
@@ -220,6 +221,9 @@ def test_points_right_below_a_table_top_count_with_a_warning(mi: Any, height: fl
         warnings.simplefilter("always")
         renderer = SceneRenderer(scene, "emitters", sensor=SensorGrid(height=height, spacing=0.5))
     assert renderer.grid.inside.all()
+    assert renderer.grid.covered == (4 if is_noted else 0)
+    cautions = [line for line in grid_premises(renderer) if "right below a surface" in line]
+    assert bool(cautions) is is_noted
     shown = [str(one.message) for one in caught]
     assert (
         any(re.match(r"4 of \d+ points .* 0.04 m below it.* such as 0.90 m", message) for message in shown)

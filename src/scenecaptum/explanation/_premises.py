@@ -16,23 +16,25 @@ MADE_UP = "made-up, of no real place; the results hold for your place only with 
 def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
     """Return a line that says where the points of a grid over a floor are; none of other sensors.
 
-    Where most of the points have nothing above them, neither a ceiling nor glass, a caution says so.
+    Cautions say where points are right below a table top, or most of them below neither a ceiling nor glass.
     """
     if not renderer.has_grid or not renderer.grid.sides:
         return ()
     points = renderer.grid
-    line = f"grid: {grid_size(points)}, if the scene's unit is the metre"
+    lines = [f"grid: {grid_size(points)}, if the scene's unit is the metre"]
     count = int(points.inside.sum())
-    if 2 * points.open_above <= count:
-        return (line,)
-    return (
-        line,
-        advised(
-            f"caution: {points.open_above} of the {count} points have nothing above them, no ceiling and no glass",
-            "if they are to be in a room, choose a grid that is no larger than the room",
-            ": ",
-        ),
-    )
+    if points.covered:
+        finding = (
+            f"caution: {points.covered} of the {count} points lie right below a surface that blocks their light, "
+            "such as a table top, and count"
+        )
+        lines.append(advised(finding, "choose another height of the grid", ": "))
+    if 2 * points.open_above > count:
+        finding = f"caution: {points.open_above} of the {count} points have nothing above them"
+        finding += ", no ceiling and no glass"
+        advice = "if they are to be in a room, choose a grid that is no larger than the room"
+        lines.append(advised(finding, advice, ": "))
+    return tuple(lines)
 
 
 def grid_size(points: GridPoints) -> str:

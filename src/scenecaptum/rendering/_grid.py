@@ -169,17 +169,21 @@ def _open_points(points: GridPoints, scene: Any) -> GridPoints:
     is_covered = np.array(above.is_valid())
     room = torch.full(inside.shape, math.inf, dtype=torch.float64)
     room[inside] = torch.from_numpy(np.where(is_covered, np.array(above.t), math.inf)).double()
-    _warn_of_narrow_gaps(scene, positions, points.normals, room, points.above)
-    return dataclasses.replace(points, inside=inside, open_above=int((~is_covered).sum()))
+    return dataclasses.replace(
+        points,
+        inside=inside,
+        open_above=int((~is_covered).sum()),
+        covered=_count_covered(scene, positions, points.normals, room, points.above),
+    )
 
 
-def _warn_of_narrow_gaps(
+def _count_covered(
     scene: Any, positions: torch.Tensor, up: torch.Tensor, room: torch.Tensor, height: float
-) -> None:
-    """Warn of points right below a surface, such as a table top, given the ``room`` above each."""
+) -> int:
+    """Return how many points are right below a surface, given the ``room`` above each, and warn of them."""
     below = room < LEAST_ROOM * height
     if not below.any():
-        return
+        return 0
     steps = [step * RAISED_BY for step in range(1, 1 + int(height / RAISED_BY))]
     places, upward, least = positions[below], up[below], LEAST_ROOM * height
     above = (one for one in steps if _is_open(scene, places + one * upward, upward, least))
@@ -191,6 +195,7 @@ def _warn_of_narrow_gaps(
         f"another height= than {height:g} m{better}.",
         stacklevel=2,
     )
+    return int(below.sum())
 
 
 def _is_open(scene: Any, positions: torch.Tensor, up: torch.Tensor, least: float) -> bool:
