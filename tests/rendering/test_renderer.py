@@ -975,6 +975,17 @@ def test_the_plan_says_that_the_scenes_integrator_is_not_used(mi: Any, own: str)
     assert plan.max_depth == depths.get(own, 3)
 
 
+@pytest.mark.parametrize("own", ["path", "prb"])
+def test_the_plan_says_that_media_are_rendered_that_the_scenes_integrator_leaves_out(
+    mi: Any, own: str
+) -> None:
+    fog = {"type": "cube", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", "sigma_t": 0.1}}
+    plan = SceneRenderer({**small_cornell(integrator=INTEGRATORS[own]), "fog": fog}).plan
+    assert dict(plan.decisions)[f"the scene's integrator '{own}' is not used"].startswith(
+        "it leaves the scene's media out"
+    )
+
+
 def test_an_integrator_of_a_user_with_the_name_of_one_of_mitsuba_is_said_not_to_be_used(mi: Any) -> None:
     from scenecaptum.rendering.integrators.path import ReplayIntegrator
 

@@ -154,7 +154,7 @@ def make_plan(
 
     if hide_emitters := bool(getattr(own, "hide_emitters", False)):
         reasons["lights hidden from the camera"] = "as set by the scene's integrator"
-    reasons |= _unused_integrator(own)
+    reasons |= _unused_integrator(own, media=integrator.media)
     reasons |= _film_filters(sensors)
 
     left_out = sum(not p.problem and not p.moves for n, p in parameters.items() if n not in inputs)
@@ -240,13 +240,21 @@ _OTHER_INTEGRATORS = {
     "DirectProjectiveIntegrator": ("direct_projective", "visibility is not differentiated"),
     "PathProjectiveIntegrator": ("prb_projective", "visibility is not differentiated"),
 }
-# Integrators that path replay replaces without a difference.
-_EQUIVALENT_INTEGRATORS = {"PathIntegrator", "DirectIntegrator", "PRBIntegrator", "BasicPRBIntegrator"}
-_EQUIVALENT_INTEGRATORS |= {"ReplayIntegrator", "VolumetricReplayIntegrator"}
+# Integrators that path replay replaces without a difference, but for media.
+_WITHOUT_MEDIA = {
+    "PathIntegrator": "path",
+    "DirectIntegrator": "direct",
+    "PRBIntegrator": "prb",
+    "BasicPRBIntegrator": "prb_basic",
+}
+_OWN_INTEGRATORS = {"ReplayIntegrator", "VolumetricReplayIntegrator"}
 
 
-def _unused_integrator(own: Any) -> dict[str, str]:
-    """Return the decision not to use the scene's own integrator, where its results would differ."""
+def _unused_integrator(own: Any, *, media: bool) -> dict[str, str]:
+    """Return the decision not to use the scene's own integrator, where its results would differ.
+
+    ``media`` says that the scene has media, and that they are rendered.
+    """
     if own is None:
         return {}
     # For a plugin written in Python, Mitsuba reports the name of the base class.
@@ -257,9 +265,11 @@ def _unused_integrator(own: Any) -> dict[str, str]:
         "mitsuba",
         __name__.partition(".")[0],
     )
-    if is_known and name in _EQUIVALENT_INTEGRATORS:
+    if is_known and (name in _OWN_INTEGRATORS or (name in _WITHOUT_MEDIA and not media)):
         return {}
     found = _OTHER_INTEGRATORS.get(name) if is_known else None
+    if is_known and name in _WITHOUT_MEDIA:
+        found = _WITHOUT_MEDIA[name], "it leaves the scene's media out, which are rendered"
     plugin, reason = found or (named_integrator(own) or name, "path replay renders the radiance")
     return {f"the scene's integrator {plugin!r} is not used": reason}
 
