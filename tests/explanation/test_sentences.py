@@ -749,7 +749,7 @@ def test_the_fewest_rows_with_most_of_the_effect_decide():
     assert len(others) == 4
     three = tuple(dataclasses.replace(row, effect=1.0, effect_error=0.1) for row in rows[:3])
     assert lines(of_daylight(57.0, 0.5, rows=three))["Which points decide"][0] == (
-        "most of them: 3 of 3 have 100 % of the effect of 10 % more light"
+        "most of them: 3 of 3 rows have 100 % of the effect of 10 % more light"
     )
     below = (dataclasses.replace(rows[1], name="z = 4 m", towards="−z"),)
     _, legend, _ = lines(of_daylight(57.0, 0.5, rows=below))["Which points decide"]

@@ -255,7 +255,8 @@ class Explanation:
         )
         *names, last = [row_name(row) for row in self.rows if row in deciding]
         if 2 * len(deciding) > len(self.rows) > 1:
-            finding = f"most of them: {len(deciding)} of {len(self.rows)} have {share}"
+            rows = "rows" if self.rows[0].side == "top" else "columns"
+            finding = f"most of them: {len(deciding)} of {len(self.rows)} {rows} have {share}"
         else:
             named = " and ".join(filter(None, [", ".join(names), last]))
             finding = f"{named} {'decide' if names else 'decides'}: {share}"
