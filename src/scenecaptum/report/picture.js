@@ -177,7 +177,7 @@ function captionOf(result, scale) {
   const behind = seenOnlyThrough(result);
   const sentences = [
     behind.length ? `Not on the map, seen only behind glass or mirrored: ${firstFew(behind)}.` : "",
-    result.isNoise && !scale.texels ? "No effect is clear enough to stand out among so many: a colour may be due to chance." : "",
+    result.isNoise && !scale.texels ? "No effect on the map stands out from the noise: a colour may be due to chance." : "",
   ].filter(Boolean);
   if (sentences.length) pointing.push(`. ${sentences.join(" ")}`);
   const sign = scale.signed ? ", with the sign of the sum" : "";
