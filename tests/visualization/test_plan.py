@@ -161,8 +161,8 @@ def test_axes_are_in_metres_with_equal_aspect():
     assert (other.get_xlim(), other.get_ylim()) == ((-0.25, 3.25), (2.25, -0.25))
 
 
-@pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1)])
-def test_a_row_of_points_has_no_contours(shape):
+@pytest.mark.parametrize("shape", [(1, 6), (6, 1), (1, 1), (6, 3)])
+def test_a_few_rows_of_points_have_no_contours(shape):
     values = torch.arange(100.0, 100 + 100 * shape[0] * shape[1], 100).reshape(shape)
     figure = plot_plan(values, plan(*shape))
     figure.canvas.draw()

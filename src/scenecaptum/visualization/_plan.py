@@ -28,6 +28,7 @@ LEVELS = (50.0, 100.0, 150.0, 200.0, 300.0, 500.0, 750.0, 1000.0, 1500.0, 2000.0
 # A label of a contour is horizontal, in a dark box: an outline alone is hard to read on cells of many colours.
 _LABEL = {"facecolor": "black", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
 _APART = 0.08  # of the longer side, between two labels
+_LEAST_ROWS = 4  # along each side: contours between fewer points are zigzags
 _PLACES = [0.5, 0.4, 0.6, 0.3, 0.7, 0.2, 0.8, 0.1, 0.9]  # of a label along its contour, the best first
 _LINE = " (line)"  # in a title, of the contour
 _MARGIN, _COLORBAR = 0.9, 1.0  # inches around a map, for labels and the colour bar
@@ -69,8 +70,8 @@ def plot_plan(  # noqa: PLR0913 -- a figure with its texts
     width
         The largest width of a new figure in inches. The text keeps its size.
     levels
-        Values of the contours; those outside the range of ``values`` are not drawn. By default the steps of the
-        scale of illuminance in EN 12464-1 from 50 to 5000 lx.
+        Values of the contours; those outside the range of ``values`` are not drawn, and none where a side has less
+        than 4 points. By default the steps of the scale of illuminance in EN 12464-1 from 50 to 5000 lx.
     title
         Written above the map; ``" (line)"`` is left out of it where no contour is drawn.
     label
@@ -92,7 +93,7 @@ def plot_plan(  # noqa: PLR0913 -- a figure with its texts
     shown, x, y = _rows_and_columns(values, plan, inside)
     within = [level for level in sorted(set(levels)) if shown.min() < level < shown.max()]
     is_noise = bool(error and within) and 4 * (error or 0.0) >= _step(within, levels, shown)
-    has_contours = bool(within) and not is_noise and min(shown.shape) > 1
+    has_contours = bool(within) and not is_noise and min(shown.shape) >= _LEAST_ROWS
     if not has_contours:
         title = title.replace(_LINE, "")
     if ax is None:
