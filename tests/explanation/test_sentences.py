@@ -586,7 +586,7 @@ def test_the_note_on_a_goal_stands_below_its_line():
     )
     said = lines(Explanation(rated(24.8, 0.05), goal=goal))["What reaches the goal"]
     assert said == [
-        "sky radiance 0 → 1: switched on",
+        "sky radiance 0 → 1, switched on",
         "UGR 25 → 18, below 19, in other renders",
         "rate it again",
     ]

@@ -334,12 +334,12 @@ def test_lights_that_are_all_off_are_named(mi: Any) -> None:
     ("before", "after", "whole", "extent"),
     [
         ([25.0, 22.0, 18.0], [50.6, 47.6, 43.6], "light", "115 % more"),  # in red, 102 %
-        ([25.0, 22.0, 18.0], [20.0, 22.0, 20.0], "light", "20 % of its value"),
+        ([25.0, 22.0, 18.0], [20.0, 22.0, 20.0], "light", "by 20 % of its value"),
         ([25.0, 22.0, 18.0], [0.0, 0.0, 0.0], "light", "switched off"),
         ([0.0, 0.0, 0.0], [1.24, 1.24, 1.24], "light", "switched on"),
         ([8.0], [4.0], "light", "50 % less"),
-        ([8.0], [4.0], "value", "50 % of its value"),
-        ([8.0], [4.0], "range", "50 % of its range"),
+        ([8.0], [4.0], "value", "by 50 % of its value"),
+        ([8.0], [4.0], "range", "by 50 % of its range"),
     ],
 )
 def test_a_change_is_put_in_the_words_of_what_changes(
@@ -353,7 +353,7 @@ def test_a_change_is_put_in_the_words_of_what_changes(
 def test_a_change_of_an_unbounded_value_is_a_fraction_of_the_value() -> None:
     found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
     extents = {moved.name: moved.extent for moved in found.moved}
-    assert extents == dict.fromkeys(("strong", "faint"), "20 % of its range") | {"weak": "20 % of its value"}
+    assert extents == dict.fromkeys(("strong", "faint"), "by 20 % of its range") | {"weak": "by 20 % of its value"}
 
 
 def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:
@@ -478,7 +478,7 @@ def test_a_change_is_a_fraction_of_the_range_and_not_of_the_limits() -> None:
     (moved,) = found.moved
     assert found.values["strong"].tolist() == pytest.approx([0.3] * 3, abs=1e-6)
     assert moved.fraction == pytest.approx(0.4)  # 0.7 → 0.3, of a range from 0 to 1
-    assert moved.extent == "40 % of its range"
+    assert moved.extent == "by 40 % of its range"
 
 
 @pytest.mark.parametrize("limits", [{"faint": (0.1, 0.2)}, {"weak": ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))}])

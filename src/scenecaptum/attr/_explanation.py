@@ -355,7 +355,7 @@ class Explanation:
         if self.goal is None:
             return []
         return [
-            *(f"{step(one)}: {one.extent}" for one in self.goal.moved),
+            *(f"{step(one)}, {one.extent}" for one in self.goal.moved),
             f"{self.goal.outcome}, in other renders" if self.goal.moved else self.goal.outcome,
             *([self.goal.note] if self.goal.note else []),
         ]

@@ -100,7 +100,7 @@ class Moved:
 
     @property
     def extent(self) -> str:
-        """How far it was changed: ``"31 % of its range"``, ``"31 % less"`` light, or ``"switched on"``."""
+        """How far it was changed: ``"by 31 % of its range"``, ``"31 % less"`` light, or ``"switched on"``."""
         percent, is_light = f"{100 * self.fraction:.0f} %", self.whole == "light"
         if is_light and not self.before.any():
             return "switched on"
@@ -110,7 +110,7 @@ class Moved:
             return f"{percent} less"
         if is_light and bool((self.after >= self.before).all()):
             return f"{percent} more"
-        return f"{percent} of its {'range' if self.whole == 'range' else 'value'}"
+        return f"by {percent} of its {'range' if self.whole == 'range' else 'value'}"
 
 
 def changed_fraction(before: torch.Tensor, after: torch.Tensor, length: torch.Tensor, whole: Whole) -> float:
