@@ -120,21 +120,21 @@ def test_placeholder_values_reach_the_scene(tmp_path, capsys):
     assert info["parameters"] == {"spp": "4", "size": "8", "distance": "6.5"}
 
 
-DEPTH = (
-    "Paths have at most 6 segments, and deep.xml asks for {}: this is quick, but the light of longer ones "
-    "is missing. For final numbers use --max-depth {}"
+DEEPER = (
+    "deep.xml: light of paths of more than 6 segments is missing; the scene asks for {}. For its own light use "
+    "--max-depth {}"
 )
 SHORTER = (
-    "Paths have at most 6 segments, and deep.xml asks for 3: the picture has light that the scene leaves out. "
-    "For its own light use --max-depth 3"
+    "deep.xml: light of paths of more than 3 segments is included, which the scene leaves out. For its own light "
+    "use --max-depth 3"
 )
 
 
 @pytest.mark.parametrize(
     ("in_scene", "option", "notes"),
     [
-        ("12", [], [DEPTH.format("12", 12)]),
-        ("-1", [], [DEPTH.format("paths of any length", -1)]),
+        ("12", [], [DEEPER.format("up to 12", 12)]),
+        ("-1", [], [DEEPER.format("any length", -1)]),
         ("3", [], [SHORTER]),
         ("6", [], []),
         ("12", ["--max-depth", "3"], []),

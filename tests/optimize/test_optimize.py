@@ -353,7 +353,9 @@ def test_a_change_is_put_in_the_words_of_what_changes(
 def test_a_change_of_an_unbounded_value_is_a_fraction_of_the_value() -> None:
     found = optimize.minimize(Lamps(), torch.mean, -1.0, top=3, change=0.2, steps=20)
     extents = {moved.name: moved.extent for moved in found.moved}
-    assert extents == dict.fromkeys(("strong", "faint"), "by 20 % of its range") | {"weak": "by 20 % of its value"}
+    assert extents == dict.fromkeys(("strong", "faint"), "by 20 % of its range") | {
+        "weak": "by 20 % of its value"
+    }
 
 
 def test_no_paint_is_lighter_than_white_paint(mi: Any) -> None:

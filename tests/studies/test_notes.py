@@ -82,3 +82,19 @@ def test_a_metric_without_a_derivative_has_a_value_and_an_error(
     (numbers,) = (result.numbers(cell) for cell in result.cells)
     assert 0 < numbers["value"] < 1
     assert numbers["standard_error"] > 0
+
+
+@pytest.mark.parametrize(("depth", "is_noted"), [("auto", True), (None, False)])
+def test_a_note_says_that_the_paths_are_longer_than_the_scene_asks_for(
+    run: Callable[..., StudyResult], tmp_path: Path, depth: str | None, is_noted: bool
+) -> None:
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 4},
+        "camera": {"type": "perspective"},
+        "sky": {"type": "constant"},
+    }
+    options = {**SMALL, "resolution": (8, 8), "max_depth": depth}
+    study = Study({"sky": scene}, metrics=["luminance"], methods=["value"], seeds=seeds(1), **options)
+    note = "light of paths of more than 4 segments is included, which the scene leaves out"
+    assert (note in str(run(study, tmp_path))) is is_noted

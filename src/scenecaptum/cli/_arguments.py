@@ -14,6 +14,7 @@ from typing import Any
 import torch
 
 from .. import daylight
+from ..explanation import depth_premises
 from ..rendering import SceneRenderer, named_sensors
 from ..scene import BUNDLED
 from ._design import design_settings, fixed_values
@@ -222,29 +223,9 @@ def make_renderer(
 
 def _say_depth(renderer: SceneRenderer) -> None:
     """Warn that the scene asks for another depth than that of the command, if it does."""
-    own, used = renderer.plan.scene_depth, renderer.plan.max_depth
-    if own is None or own == used:
-        return
-    wanted = "paths of any length" if own == -1 else str(own)
-    asked = f"Paths have at most {used} segments, and {Path(renderer.name).name} asks for {wanted}: "
-    if 0 <= own < used:
-        consequence = (
-            f"the picture has light that the scene leaves out. For its own light use --max-depth {own}"
-        )
-    else:
-        consequence = (
-            f"this is quick, but the light of longer ones is missing. For final numbers use --max-depth {own}"
-        )
-    warnings.warn(asked + consequence, stacklevel=3)
-
-
-def depth_premises(renderer: SceneRenderer) -> tuple[str, ...]:
-    """Return what a page says of light that the scene has and the picture leaves out, or nothing."""
-    own, used = renderer.plan.scene_depth, renderer.plan.max_depth
-    if own is None or used == -1 or 0 <= own <= used:
-        return ()
-    wanted = "any length" if own == -1 else f"up to {own}"
-    return (f"light of paths of more than {used} segments is missing; the scene asks for {wanted}",)
+    for line in depth_premises(renderer):
+        advice = f"For its own light use --max-depth {renderer.plan.scene_depth}"
+        warnings.warn(f"{Path(renderer.name).name}: {line}. {advice}", stacklevel=3)
 
 
 def print_resumed(renderer: SceneRenderer) -> None:

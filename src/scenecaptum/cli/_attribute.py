@@ -14,7 +14,13 @@ import torch
 from ..attr import GROUPS, METHODS, AttributionInterrupted, Definition, Explanation, SceneAttribution
 from ..errors import SceneCaptumError
 from ..estimation import DEFAULT_REPLICATES, Denoise, Metric, TargetedMetric
-from ..explanation import definition_of, photometric_premises, rated_image, states_definition
+from ..explanation import (
+    definition_of,
+    depth_premises,
+    photometric_premises,
+    rated_image,
+    states_definition,
+)
 from ..metrics import NO_SOURCE, GlareRating
 from ..protocols import Scale
 from ..rendering import SceneRenderer
@@ -333,7 +339,7 @@ def _write_report(finished: Sequence[Finished], options: argparse.Namespace, ren
         return
     path = options.out / REPORT
     plans = [plan_of(one.image, renderer, metric, one.info) for one, metric, _ in finished]
-    missing = _arguments.depth_premises(renderer)
+    missing = depth_premises(renderer)
     shown: list[SceneAttribution | Explanation] = []
     for one in finished:
         said = _explained(one, renderer, (*premises(one.metric, options), *missing))

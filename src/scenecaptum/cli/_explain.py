@@ -18,6 +18,7 @@ from ..estimation import Metric, TargetedMetric
 from ..explanation import (
     AT_THE_GOAL,
     class_by_definition,
+    depth_premises,
     explain,
     grid_premises,
     photometric_premises,
@@ -123,7 +124,7 @@ def _write_report(
     """Write the page: the sentences, and if a goal was reached, the scene before and after on a slider."""
     # What is said of the goal belongs to its own card.
     own = tuple(text for text in explanation.premises if not text.startswith(f"{AT_THE_GOAL}: "))
-    missing = _arguments.depth_premises(renderer)
+    missing = depth_premises(renderer)
     results = [dataclasses.replace(explanation, premises=own + missing)]
     titles = comparison = None
     if (goal := explanation.goal) is not None and goal.reached and not goal.was_below:

@@ -11,6 +11,7 @@ from typing import Any
 
 from ..designs import CHANGES
 from ..estimation import Metric
+from ..explanation import depth_premises
 from ..explore import Exploration, section, serve
 from ..linearization import Designs
 from ..metrics import BY_NAME
@@ -72,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
         top=options.top,
         recipe=_recipe(options, renderer, created),
         spp=_spp(options),
-        premises=_arguments.depth_premises(renderer),
+        premises=depth_premises(renderer),
     )
     if options.to is not None:
         exploration.linearize()

@@ -37,6 +37,17 @@ def grid_premises(renderer: SceneRenderer) -> tuple[str, ...]:
     return tuple(lines)
 
 
+def depth_premises(renderer: SceneRenderer) -> tuple[str, ...]:
+    """Return a line where paths are followed through more or fewer segments than the scene asks for."""
+    own, used = renderer.plan.scene_depth, renderer.plan.max_depth
+    if own is None or own == used:
+        return ()
+    if own != -1 and (used == -1 or own < used):
+        return (f"light of paths of more than {own} segments is included, which the scene leaves out",)
+    wanted = "any length" if own == -1 else f"up to {own}"
+    return (f"light of paths of more than {used} segments is missing; the scene asks for {wanted}",)
+
+
 def grid_size(points: GridPoints) -> str:
     """Return ``"63 points on floor_shape (parquet), 0.8 m above it, 7 × 5 m, 0.78 m apart"``, of two."""
     width, depth = (rounded(side) for side in points.sides)

@@ -12,6 +12,7 @@ from ..attr import SceneAttribution
 from ..estimation import TargetedMetric
 from ..explanation import (
     FACTOR,
+    depth_premises,
     grid_premises,
     has_absolute_threshold,
     near_threshold_note,
@@ -83,9 +84,10 @@ def _told_apart(notes: Sequence[str]) -> dict[str, Any]:
 
 
 def _depth(renderer: SceneRenderer) -> tuple[str, ...]:
-    """Return the depth of the paths to a sensor grid, which has no page that would say it."""
+    """Return the depth of paths to a sensor grid, which no page would say, and where it is not the scene's."""
     depth = renderer.plan.max_depth
-    return (f"light is followed through {depth} segments",) if renderer.has_grid and depth > 0 else ()
+    of_grid = (f"light is followed through {depth} segments",) if renderer.has_grid and depth > 0 else ()
+    return of_grid + depth_premises(renderer)
 
 
 def convergence_of(attribution: SceneAttribution) -> dict[str, str]:
