@@ -254,7 +254,7 @@ def test_render_noise_is_not_counted_as_variance_of_the_gradient(nt_type):
     ("n_steps", "metric"),
     [
         (8, sigmoid),
-        (24, torch.mean),
+        pytest.param(24, torch.mean, marks=pytest.mark.long),
         pytest.param(8, torch.mean, marks=pytest.mark.long),
         pytest.param(24, sigmoid, marks=pytest.mark.long),
     ],

@@ -87,6 +87,7 @@ class Pair(ReplayingToyRenderer):
         return torch.stack([image, 0.5 * image])
 
 
+@pytest.mark.long
 def test_error_bars_include_the_draws_that_cameras_share():
     metric = metrics.PerCamera(metrics.Smoothed(squares, 0.8, n=16))
     method = VanillaSceneGradient(Pair(0.1), metric)

@@ -45,7 +45,7 @@ def exact(renderer: ReplayingToyRenderer) -> tuple[float, torch.Tensor]:
     ("noise", "goal"),
     [
         pytest.param(0.02, {}, id="draws dominate-one round"),
-        pytest.param(0.5, PLANNED, id="picture and draws-planned"),
+        pytest.param(0.5, PLANNED, id="picture and draws-planned", marks=pytest.mark.long),
         pytest.param(0.02, PLANNED, id="draws dominate-planned", marks=pytest.mark.long),
         pytest.param(0.5, {}, id="picture and draws-one round", marks=pytest.mark.long),
     ],
@@ -67,6 +67,7 @@ def test_error_bars_include_the_draws(noise, goal):
         check_error_bars(found, bars)
 
 
+@pytest.mark.long
 def test_rounds_of_a_planned_run_have_their_own_draws():
     renderer = ReplayingToyRenderer(0.5)
     metric = metrics.Smoothed(squares, 0.5 * SIGMA, n=16)
@@ -80,6 +81,7 @@ def test_rounds_of_a_planned_run_have_their_own_draws():
     check_error_bars(totals, torch.stack([run.standard_error["x"].double() for run in runs]))
 
 
+@pytest.mark.long
 def test_several_points_split_the_draws():
     renderer = ReplayingToyRenderer(0.02)
     calls: list[int] = []
@@ -199,6 +201,7 @@ def test_ablation_of_a_network_says_how_many_samples_its_picture_needs() -> None
     )
 
 
+@pytest.mark.long
 def test_the_gradient_of_a_network_says_how_many_samples_a_very_noisy_picture_needs() -> None:
     """Above that of the smoothing, noise biases the logit by more than two halves of the samples differ."""
     renderer = SceneRenderer("classroom", inputs="reflectance", resolution=(24, 14), max_depth=3)

@@ -29,6 +29,7 @@ def compared(*settings: dict[str, Any], is_saved: bool = True) -> _compared.Comp
     return _compared.Compared(before, after, ["A", "B"], 0.0, None, sides)
 
 
+@pytest.mark.long
 def test_the_shares_of_points_are_of_the_render_whose_value_is_quoted(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,6 +96,7 @@ def test_settings_that_differ_are_named_as_a_part_of_the_change() -> None:
     assert dataclasses.replace(found, before=turned[0], after=turned[1]).notes() == []
 
 
+@pytest.mark.long
 def test_saved_ratings_of_glare_have_their_size_and_are_called_relaxed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -261,6 +261,7 @@ def compared(more: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> tup
     return capsys.readouterr().out, data
 
 
+@pytest.mark.long
 def test_a_dimmed_sky_has_one_effect_in_terminal_and_page_and_the_render_contradicts_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

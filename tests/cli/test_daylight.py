@@ -131,6 +131,7 @@ def test_a_missing_sky_is_an_error_without_a_warning(
     assert not [str(one.message) for one in recwarn if "inside objects" in str(one.message)]
 
 
+@pytest.mark.long
 def test_a_warning_on_points_is_shown_once_where_nothing_is_wrong(tmp_path: Path) -> None:
     command = (
         f"attribute office --sensor grid --metric mean-illuminance --spacing 0.2 --spp 1 --out {tmp_path}"
@@ -202,6 +203,7 @@ def test_the_kinds_that_a_designer_chooses_are_the_inputs_of_the_command() -> No
     assert set(everything) == set(renderer.inputs)
 
 
+@pytest.mark.long
 def test_the_cards_of_a_comparison_show_values_by_the_definition_and_their_change(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -234,7 +236,7 @@ def test_what_one_result_alone_was_computed_for_begins_with_its_title() -> None:
     assert [shown.notes()[-2:] for shown in found.shown()] == [list(side.premises) for side in sides]
 
 
-@pytest.mark.parametrize("command", ["daylight", "compare"])
+@pytest.mark.parametrize("command", ["daylight", pytest.param("compare", marks=pytest.mark.long)])
 def test_the_points_that_pass_on_a_plan_are_the_quoted_value(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -472,6 +472,7 @@ def test_parameter_leaves_the_goal_by_its_upper_limit_only(monkeypatch):
     assert 2 * calm.sums[0].weight < unsure.sums[0].weight < 10**5
 
 
+@pytest.mark.long
 def test_rough_metal_whose_first_estimates_are_noise_stays_in_the_goal(monkeypatch):
     """Alpha has a quarter of all saliency, and needs about 10 000 samples for an error of 10 %."""
     activate()
@@ -687,6 +688,7 @@ def test_effect_of_another_renderer_is_measured_within_its_half_width():
     assert same.info["planner"]["against"]["relative_change"] < 1e-5
 
 
+@pytest.mark.long
 def test_effect_of_depth_is_that_of_separate_renders(cornell):
     deeper, finer = cornell.replace(max_depth=8), cornell.replace(resolution=(40, 40))
     assert list(deeper.inputs) == list(cornell.inputs)

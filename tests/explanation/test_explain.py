@@ -168,6 +168,7 @@ def test_a_texture_changes_within_its_bounds(office: SceneRenderer, explained):
         assert not torch.equal(change.before, change.after)
 
 
+@pytest.mark.long
 def test_objects_are_moved_along_the_floor_and_turned_about_the_vertical(mi):
     poses = ["short_box_shape.pose.translation", "short_box_shape.pose.rotation"]
     box = SceneRenderer("cornell-box", poses, resolution=(16, 16), spp=64, max_depth=3)
@@ -193,7 +194,8 @@ def test_changes_go_towards_the_goal(mi):
     assert lowered.predicted < 0
 
 
-@pytest.mark.parametrize("run", [0, *(pytest.param(run, marks=pytest.mark.long) for run in (1, 2))])
+@pytest.mark.long
+@pytest.mark.parametrize("run", [0, 1, 2])
 def test_the_prediction_of_a_dimmed_map_has_the_error_of_its_scale(mi, run: int):
     texels = torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(shifted(run)))
     scene = {
@@ -226,6 +228,7 @@ def test_a_goal_is_reached_by_the_leading_parameter_alone_if_that_is_enough(mi):
     assert len(hard.moved) == 2
 
 
+@pytest.mark.long
 def test_a_daylight_glare_probability_outside_its_range_has_a_caution_with_the_illuminance():
     eye = SceneRenderer("office", "emitters", sensor="fisheye", resolution=(24, 24), spp=16, max_depth=3)
     dgp = metrics.DaylightGlareProbability(eye.camera)

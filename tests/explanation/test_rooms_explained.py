@@ -44,6 +44,7 @@ TABLE = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("room", "name"), TABLE, indirect=["room"], scope="module")
 def test_the_numbers_of_the_sentences_hold_at_another_seed(room: SceneRenderer, name: str) -> None:
     metric = METRICS[name](room)

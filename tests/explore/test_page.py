@@ -264,6 +264,7 @@ def test_a_threshold_that_is_not_the_usual_one_is_stated(mi) -> None:
     assert about["definition"] == "UGR: threshold 5 times the mean luminance"
 
 
+@pytest.mark.long
 def test_a_class_of_the_start_and_of_a_render_is_as_sure_as_that_of_an_explanation() -> None:
     renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
     rating = metrics.UnifiedGlareRating(renderer.camera)
@@ -438,6 +439,7 @@ def test_everything_has_a_name_for_screen_readers(window):
     assert nameless == []
 
 
+@pytest.mark.long
 def test_a_slider_says_where_its_effect_does_not_hold_over_its_range(browser, monkeypatch):
     monkeypatch.setattr(
         "scenecaptum.explore._session.range_notes",

@@ -227,10 +227,11 @@ def test_results_carry_the_caution(radiator):
         assert ETA not in found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "least", "bsdf"),
     [
-        pytest.param("alpha", 1e-4, {"type": "roughconductor", "material": "Al"}, marks=pytest.mark.long),
+        ("alpha", 1e-4, {"type": "roughconductor", "material": "Al"}),
         ("roughness", 1e-3**0.5, {"type": "principled", "metallic": 1.0}),
     ],
 )

@@ -177,6 +177,7 @@ def test_captums_classes_and_ours_agree(box, method, metric):
         assert z > 1.5 * ALLOWED, f"{leading}: a factor of {wrong:.2f} would be {z:.1f} standard errors"
 
 
+@pytest.mark.long
 def test_the_variance_of_gradients_shows_that_the_noise_is_the_same(box):
     """The variance depends on the width of the noise; the mean of the gradients hardly does."""
     theirs, ours = 10, 160

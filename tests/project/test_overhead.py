@@ -134,6 +134,7 @@ def test_memory_that_no_library_knows_is_not_measured(mi: Any, monkeypatch: pyte
     assert measured(peak_memory() / 2**30, "{:.2f} GiB") == "not measured"
 
 
+@pytest.mark.long
 def test_overhead_measures_on_the_variant_and_writes_its_table(page: Path, tmp_path: Path) -> None:
     page.write_text(PAGE.replace(CPU, "…").replace(GPU, CPU).replace("…", GPU))
     small = ("--inputs", "reflectance", "--size", "8x8", "--spp", "8", "--depth", "2", "--turns", "1")
@@ -158,6 +159,7 @@ def test_overhead_measures_on_the_variant_and_writes_its_table(page: Path, tmp_p
     )
 
 
+@pytest.mark.long
 def test_rooms_measures_on_the_variant(tmp_path: Path) -> None:
     task = ("--task", '["attribution", "cornell-box"]')
     done = run("rooms.py", "--variant", "llvm_ad_rgb", *task, scenes=tmp_path)

@@ -82,6 +82,7 @@ def test_a_mask_of_zeros_and_ones_has_the_derivative_of_renders(mi: Any, differe
         assert abs(mean - expected) < 0.2 * abs(expected)
 
 
+@pytest.mark.long
 def test_so_has_a_backward_pass_of_torch_and_a_forward_one(mi: Any, differences: Any) -> None:
     renderer = SceneRenderer(scene(mi), OPACITY, spp=256)
     own = renderer.inputs[OPACITY]
@@ -95,6 +96,7 @@ def test_so_has_a_backward_pass_of_torch_and_a_forward_one(mi: Any, differences:
     assert tangent.item() == pytest.approx(whole, rel=0.25)
 
 
+@pytest.mark.long
 def test_other_derivatives_are_those_of_the_mask_itself(mi: Any) -> None:
     """A mask that let a little light pass would make the wall behind it matter more."""
     metric = metrics.MeanLuminance(efficacy=1)

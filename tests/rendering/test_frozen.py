@@ -25,7 +25,7 @@ def room(plugin: str) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("plugin", ["principled", "principledthin"])
+@pytest.mark.parametrize("plugin", ["principled", pytest.param("principledthin", marks=pytest.mark.long)])
 def test_a_lobe_that_was_off_when_the_scene_was_loaded_can_be_switched_on(mi: Any, plugin: str) -> None:
     """A principled material skips lobes of weight 0, but a kernel recorded then must not go on doing so."""
     renderer = SceneRenderer(room(plugin), "materials", spp=4)
@@ -143,7 +143,7 @@ def light_traced(mi: Any) -> SceneRenderer:
 
 
 # The methods that take gradients differ in where they take them, and those that change inputs in which.
-QUICK = {"gradient", "integrated-gradients", "ablation", "planner", "tradeoff"}
+QUICK = {"gradient", "integrated-gradients"}
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_no_method_records_a_kernel_again(recorded: list[str], furnished: SceneR
     check_recordings(recorded, furnished, name)
 
 
-@pytest.mark.parametrize("name", ["gradient", "planner"])
+@pytest.mark.parametrize("name", ["gradient", pytest.param("planner", marks=pytest.mark.long)])
 def test_light_tracing_is_recorded_once(recorded: list[str], light_traced: SceneRenderer, name: str) -> None:
     check_recordings(recorded, light_traced, name)
 
@@ -195,7 +195,8 @@ def test_kernels_stay_frozen_beside_a_scene_with_a_material_that_no_shape_uses(
     assert len(recorded) == before
 
 
-@pytest.mark.parametrize("name", [pytest.param("metal.alpha.value", marks=pytest.mark.long), "glass.eta"])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["metal.alpha.value", "glass.eta"])
 def test_a_kernel_is_right_for_other_sample_counts_than_that_of_its_recording(mi: Any, name: str) -> None:
     """Dr.Jit guesses the sizes of arrays in a frozen function from those of the arguments."""
     scene = room("diffuse") | {

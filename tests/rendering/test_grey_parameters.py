@@ -39,7 +39,9 @@ def masked(mi: Any) -> SceneRenderer:
     return SceneRenderer(room(mi, ball=mask(COLOUR), lamp=20.0), "opacity")
 
 
-@pytest.mark.parametrize("ready", [False, True], ids=["dict", "mi.Scene"])
+@pytest.mark.parametrize(
+    "ready", [False, pytest.param(True, marks=pytest.mark.long)], ids=["dict", "mi.Scene"]
+)
 @pytest.mark.parametrize(
     ("name", "coloured", "plain"),
     [
@@ -76,6 +78,7 @@ def test_a_colour_counts_as_the_mean_of_its_channels(
     torch.testing.assert_close(tangent[1], gradient(ours, name)[1], rtol=1e-3, atol=1e-8)
 
 
+@pytest.mark.long
 def test_a_grey_parameter_is_ranked_as_one_number(mi: Any, masked: SceneRenderer) -> None:
     """Its derivative agrees with a finite difference."""
     found = VanillaSceneGradient(masked, mean).attribute(seed=shifted(0), spp=256)

@@ -89,6 +89,7 @@ def test_a_small_lamp_has_its_form_factor(mi: Any) -> None:
     held(found, error, torch.tensor([math.pi * 10 / 5, math.pi * 10 / 2]).double())
 
 
+@pytest.mark.long
 def test_a_grid_on_a_white_floor_sees_what_the_floor_reflects(mi: Any) -> None:
     """Irradiance is π times the radiance of a white diffuse surface: of a stock render of the room from above."""
     scene = box(mi, floor=1.0)
@@ -466,6 +467,7 @@ DIFFERENCES = {
 }
 
 
+@pytest.mark.long
 def test_derivatives_are_those_of_stock_renders(mi: Any) -> None:
     """A wall, a pane, a blind and its height, and a lamp, against Mitsuba's own renders of changed rooms."""
     place, spp = (0.3, -1.0), 16384

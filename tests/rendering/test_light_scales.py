@@ -48,6 +48,7 @@ def differences(renderer: SceneRenderer, seed: int) -> torch.Tensor:
     )
 
 
+@pytest.mark.long
 def test_a_scale_is_never_noisier_than_a_difference(sunlit: SceneRenderer) -> None:
     """Mitsuba samples sky and sun by brightness: a short step changes the samples, and its signal is lost."""
     ours = torch.stack([gradients(sunlit, seed) for seed in range(SEEDS)])

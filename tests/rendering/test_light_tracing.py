@@ -43,17 +43,13 @@ def assert_agree(first: torch.Tensor, second: torch.Tensor) -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("ball", "changes", "spp"),
     [
-        pytest.param(
-            TWO_SIDED,
-            {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}},
-            32,
-            marks=pytest.mark.long,
-        ),
-        pytest.param(FROSTED, {}, 128, marks=pytest.mark.long),
-        pytest.param(LACQUER, {"camera": LENS}, 32, marks=pytest.mark.long),
+        (TWO_SIDED, {"integrator": {"type": "path", "max_depth": -1, "rr_depth": 3}}, 32),
+        (FROSTED, {}, 128),
+        (LACQUER, {"camera": LENS}, 32),
         (METAL, {"floor": {"bsdf": POLISHED}}, 32),
     ],
     ids=["two-sided, unlimited", "frosted glass", "lacquer, lens", "polished floor"],
@@ -71,9 +67,10 @@ def test_derivatives_of_the_surroundings_of_a_glossy_ball(
     assert_agree(*both(renderer, adjoint))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "ball",
-    [*(pytest.param(one, marks=pytest.mark.long) for one in (METAL | {"alpha": 0.1}, FROSTED)), LACQUER],
+    [METAL | {"alpha": 0.1}, FROSTED, LACQUER],
     ids=["metal", "frosted glass", "lacquer"],
 )
 def test_derivatives_of_a_whole_picture(mi: Any, ball: dict[str, Any]) -> None:
@@ -146,6 +143,7 @@ def test_the_value_of_a_valid_sample_is_its_weight_times_its_density(mi: Any, co
     assert dr.count(wrong & (value > 0))[0] > 0
 
 
+@pytest.mark.long
 def test_a_low_roughness_is_less_noisy(mi: Any) -> None:
     """For a metal box in the Cornell box, next to another input that uses path replay alone."""
     from scenecaptum.scene.bundled import cornell_box

@@ -232,6 +232,7 @@ def test_forward_mode_is_the_transpose_of_backward_mode(mi: Any) -> None:
     assert (gradient * tangent).sum().item() == pytest.approx(change.sum().item(), rel=1e-3)
 
 
+@pytest.mark.long
 def test_importance_sampled_pixels_give_the_same_derivatives(mi: Any) -> None:
     names = [ALBEDO, DENSITY, "ball.bsdf.specular_reflectance.value"]
     renderer = SceneRenderer(room(mi, homogeneous()), names, spp=8)

@@ -81,7 +81,7 @@ def test_images_without_specular_lobes_are_those_of_mitsuba(mi: Any, weight: flo
     ("one", "two", "weight", "steps"),
     [
         (MIRROR, ROUGH_COATED, 0.4, {"bsdf_1.diffuse_reflectance.value": 0.05}),
-        (GLASS, PAINT, [0.2, 0.4, 0.6, 0.8], {"weight.data": 0.05}),
+        pytest.param(GLASS, PAINT, [0.2, 0.4, 0.6, 0.8], {"weight.data": 0.05}, marks=pytest.mark.long),
         # Of each texel only one material is sampled.
         (MIRROR, PAINT, [0.0, 1.0, 1.0, 0.0], {"weight.data": 0.05}),
     ],

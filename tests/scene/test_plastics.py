@@ -254,7 +254,13 @@ def gradient(renderer: SceneRenderer, values: dict[str, torch.Tensor], seed: int
     ("how", "material", "parameter", "step"),
     [
         ("twosided", {"type": "roughplastic", "distribution": "ggx"}, "brdf_0.alpha", 0.005),
-        ("plain", {"type": "roughplastic", "alpha": 1.0, "nonlinear": True}, "eta", 0.02),
+        pytest.param(
+            "plain",
+            {"type": "roughplastic", "alpha": 1.0, "nonlinear": True},
+            "eta",
+            0.02,
+            marks=pytest.mark.long,
+        ),
         pytest.param(
             "mask", {"type": "plastic", "int_ior": 2.4}, "nested_bsdf.eta", 0.02, marks=pytest.mark.long
         ),
@@ -291,6 +297,7 @@ def test_derivatives_of_images_agree_with_differences_of_mitsubas(
     )
 
 
+@pytest.mark.long
 def test_tables_follow_the_parameters(mi: Any) -> None:
     name = {"alpha": "ball.bsdf.alpha", "eta": "ball.bsdf.eta"}
     rough = {"type": "roughplastic", "distribution": "ggx"}

@@ -115,6 +115,7 @@ def test_noise_biases_a_non_linear_metric_without_the_jackknife():
     assert jackknifed.bias.upper_limit < expected / 2
 
 
+@pytest.mark.long
 def test_the_bias_of_smoothing_is_that_of_the_expectation():
     renderer = Bounces(noise_seen=0.0)
     trade = measure(renderer, cubes, vary={"smoothing": [0.1, 0.4]}, reference_spp=10**6, runs=20)
@@ -270,6 +271,7 @@ def test_the_backward_pass_may_have_its_own_sample_count(cornell):
         torch.testing.assert_close(few[name].grad, many[name].grad, rtol=1e-4, atol=1e-7)
 
 
+@pytest.mark.long
 def test_the_missing_derivative_of_a_mirror_in_stock_prb_shows_as_bias(mi):
     ball = {"type": "conductor", "specular_reflectance": {"type": "rgb", "value": 0.8}}
     scene = room(mi, ball)

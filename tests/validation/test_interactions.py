@@ -159,6 +159,7 @@ def test_luminance_is_linear_in_the_light(mi, cornell):
     assert product.metric_value == pytest.approx(gradient.metric_value, rel=1e-3)
 
 
+@pytest.mark.long
 def test_the_gradient_of_log_luminance_does_not_depend_on_the_light(mi, cornell):
     product = hessian_vector_product(cornell, log_mean, {LAMP: cornell.inputs[LAMP]})
     seen = product.info["picture"]["denoised"]
