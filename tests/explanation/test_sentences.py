@@ -472,7 +472,7 @@ def test_an_effect_whose_error_is_untrusted_has_the_mark_of_the_table():
     metal, floor, note = effects_of(Explanation(few))
     assert (metal, floor) == ("metal: +2.00 ± 0.10 ?", "floor: +1.00 ± 0.10")
     reason = "too few samples contribute to the variance for a reliable error: the light is rare"
-    assert note == f"? {reason}; unmarked effects may miss such light, too"
+    assert note == f"? {reason}; effects other than these may miss such light, too"
     both = dataclasses.replace(found, info={**found.info, "effective_samples": {"metal": 3, "floor": 3}})
     # No row has the mark where all would have it.
     assert effects_of(Explanation(both))[-1] == f"all parameters: {reason}"
@@ -490,7 +490,7 @@ def test_a_doubt_reads_well_after_one_name_and_after_all(count: int, effect: flo
         [reason] = set(one.untrusted_errors().values())
         assert reason in " ".join(str(one).split())
         reasons.append(reason)
-    assert reasons[0] == f"{reasons[1]}; unmarked effects may miss such light, too"
+    assert reasons[0] == f"{reasons[1]}; effects other than these may miss such light, too"
     assert not {"it", "its", "they", "their", "them"} & {*re.findall(r"\w+", reasons[0])}, reasons[0]
 
 

@@ -408,7 +408,7 @@ def test_error_bars_that_cannot_be_trusted_are_marked(browser, tmp_path):
     notes = page.page.locator("#notes")
     assert "? one replicate has nearly all of the spread" in notes.inner_text()
     assert (
-        "others may be missing; unmarked effects may miss such light, too (chair: alpha)"
+        "others may be missing; effects other than these may miss such light, too (chair: alpha)"
         in notes.inner_text()
     )
     marked = page.page.locator("#rows tr", has=page.page.locator(".mark", has_text="?"))

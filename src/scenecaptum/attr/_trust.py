@@ -24,7 +24,7 @@ A = TypeVar("A", bound=AttributionData)
 NO_SAMPLES = "reached by no sample: the light is rare, or there is none"
 FEW_SAMPLES = "too few samples contribute to the variance for a reliable error: the light is rare"
 # Where a rare path is found by some parameters, it may reach the objects of others, whose samples have missed it.
-ELSEWHERE = "; unmarked effects may miss such light, too"
+ELSEWHERE = "; effects other than these may miss such light, too"
 
 
 def untrusted_errors(attribution: AttributionData) -> dict[str, str]:
