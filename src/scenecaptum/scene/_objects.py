@@ -321,7 +321,9 @@ def problem_of_light(node: Any) -> str | None:
     kind = node.class_name()
     if kind == "ConstantBackgroundEmitter":
         return "its light is the same from all directions"
-    return None if kind in _LIGHTS else f"the place of Mitsuba's {kind} cannot be changed"
+    if kind in _LIGHTS:
+        return None
+    return f"Mitsuba's {kind} is placed in the scene file or dict alone: change that, and load it again"
 
 
 def _place(node: Any, keys: Sequence[str]) -> tuple[float, float, float]:
