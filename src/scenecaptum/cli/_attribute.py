@@ -301,7 +301,8 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     value, error = attribution.metric_value, attribution.metric_standard_error
     if definition is not None:
         value, error = definition.value, definition.error
-    notes = photometric_premises(metric, image, value, error, shown, renderer)
+    is_doubted = bool(attribution.untrusted_errors())
+    notes = photometric_premises(metric, image, value, error, shown, renderer, is_doubted=is_doubted)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
         notes += (RELAXED,)
         attribution = _called_relaxed(attribution)

@@ -241,7 +241,8 @@ def _side(
     value, error = attribution.metric_value, attribution.metric_standard_error
     if definition is not None:
         value, error = definition.value, definition.error
-    of_picture = photometric_premises(metric, of_value, value, error, shown, renderer)
+    is_doubted = bool(attribution.untrusted_errors())
+    of_picture = photometric_premises(metric, of_value, value, error, shown, renderer, is_doubted=is_doubted)
     return Side(
         plan_of(of_value, renderer, metric, attribution.info),
         definition,

@@ -164,7 +164,8 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         value, error = definition.value, definition.error
         of_value, other = picture, attribution.image
     shown = scenes.metric.transform(of_value)
-    premises = photometric_premises(metric, of_value, value, error, shown, renderer)
+    is_doubted = bool(attribution.untrusted_errors())
+    premises = photometric_premises(metric, of_value, value, error, shown, renderer, is_doubted=is_doubted)
     lamps = {}
     if isinstance(metric, GlareRating):
         lamps = renderer.small_lamps if isinstance(renderer, SceneRenderer) else {}
@@ -244,11 +245,14 @@ def photometric_premises(
     error: float | None,
     shown: torch.Tensor | None = None,
     renderer: Renderer | None = None,
+    *,
+    is_doubted: bool = False,
 ) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene.
 
     ``value`` and ``error`` are those that it stands beside. ``shown`` is the picture that is rated, if that is
-    denoised; ``renderer`` knows the lamps of the scene.
+    denoised; ``renderer`` knows the lamps of the scene. ``is_doubted`` says that error bars of effects are
+    unreliable: few samples find some of the light, which points may lack in all replicates.
     """
     premises = []
     efficacy = getattr(metric, "efficacy", 1)
@@ -261,7 +265,7 @@ def photometric_premises(
         if not isinstance(metric, AnnualSunlightExposure) and image.sum(1).max() < DARK * math.pi:
             premises.append("almost no light of the sky reaches the points: what covers the windows?")
         premises += filter(None, [metric.in_words(image)])
-    if isinstance(metric, Uniformity) and error and error > NOISY_MINIMUM * value:
+    if isinstance(metric, Uniformity) and (is_doubted or (error or 0.0) > NOISY_MINIMUM * value):
         premises.append(
             advised(
                 "caution: noise lowers the smallest illuminance, so that the uniformity may be too low and its "
