@@ -1222,7 +1222,7 @@ def test_shared_nested_and_twosided_materials_are_listed_on_every_shape_that_use
 
 def test_rays_that_hit_nothing_see_the_environment(stage: SceneRenderer) -> None:
     assert stage.surfaces.objects[-1] == "background"
-    assert shown_by(stage, "background") == {"sky.data", "sky.scale"}
+    assert shown_by(stage, "background") == {"sky.data", "sky.scale", "sky.pose.rotation"}
     assert visible(stage).keys() == {"ball", "ground", "background"}
 
 
