@@ -118,5 +118,5 @@ def _unit_of_change(attribution: Attribution) -> str:
 def value_in_words(value: torch.Tensor) -> str:
     """Return a scalar, a colour by channel or as one number if it is grey, or the mean of a texture."""
     channels = value.reshape(-1, value.shape[-1]).mean(0) if value.ndim > 1 else value.reshape(-1)
-    numbers = [rounded(number) for number in channels.tolist()]
+    numbers = [rounded(number, 4) for number in channels.tolist()]  # a lamp × 1.25 is 11.25, not 11.2
     return numbers[0] if len(set(numbers)) == 1 else f"({', '.join(numbers)})"

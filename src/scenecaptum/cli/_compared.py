@@ -290,4 +290,4 @@ def numbers(found: Compared) -> dict[str, Any]:
 
 
 def _values(value: torch.Tensor) -> str:
-    return " ".join(rounded(number) for number in value.flatten().tolist())
+    return " ".join(rounded(number, 4) for number in value.flatten().tolist())

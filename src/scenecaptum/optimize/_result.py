@@ -260,4 +260,4 @@ class Optimization:
 
 
 def _format_values(value: torch.Tensor) -> str:
-    return " ".join(rounded(entry) for entry in value.flatten().tolist())
+    return " ".join(rounded(entry, 4) for entry in value.flatten().tolist())

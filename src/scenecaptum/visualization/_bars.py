@@ -34,6 +34,7 @@ from ._figures import (
     new_figure,
     style_axes,
     warn_if_cramped,
+    width_of,
     write_at,
     write_header,
 )
@@ -64,6 +65,7 @@ _LONGEST = 80  # characters of a line of the legend
 _LEGEND_PATCH = 0.4  # inches, before the text of each entry
 _BAR, _LEAST_BAR = 0.21, 0.13  # inches of each bar: by default, and at least
 _SIGN = 0.2  # inches, beside the end of a bar
+_BESIDE = 0.2  # inches: the margins of the figure, and between the names and the axes
 
 
 def plot_bars(
@@ -110,16 +112,17 @@ def plot_bars(
         check_width(figsize)
     rows = first(attribution.ranking(scale=scale), top)
     cautions = caution_groups(attribution, (row.name for row in rows))
-    # Up to a third of the width is for the names; more in the narrow axes of a page.
+    # What the names leave is for the texts, at least three fifths: a name may be wider than its share.
     if ax is None:
         full = WIDTH if figsize is None else figsize[0]
-        width, longest, name_width = 0.67 * full, _LONGEST, _NAME_WIDTH
+        name_width = _NAME_WIDTH
     else:
         left, right = column_of(ax)
         full = (right - left) / figure_of(ax).dpi
-        width = 0.6 * full
-        longest = characters_per_line(width - _LEGEND_PATCH, TEXT)
         name_width = min(_NAME_WIDTH, characters_per_line(0.4 * full, TEXT))
+    names = bar_names(attribution, rows, scale, name_width)
+    width = max(0.6 * full, full - _BESIDE - width_of(names, TEXT))
+    longest = _LONGEST if ax is None else characters_per_line(width - _LEGEND_PATCH, TEXT)
     legend = bar_legend(attribution, rows, scale, longest)
     title = figure_title(attribution, characters_per_line(0.88 * width, TITLE), scale) if captions else ""
     axis = wrapped_lines(axis_label(attribution, scale), characters_per_line(width, TEXT))
@@ -181,20 +184,27 @@ def draw_bars(
             sign, ink = (SIGNS[color], color) if row.saliency else ("0", UNCLEAR)
             style = {"va": "center", "ha": "left" if side > 0 else "right", "fontweight": "bold"}
             write_at(ax, sign, (end, position), (4 * side, 0), color=ink, **style)
-    names = shorten([row.label for row in rows], name_width)
-    noted = range_marked(bar_notes(attribution, rows, scale))
-    doubted = _doubted(attribution)
-    marks = [
-        f"{'!' if hatched else ''}{'?' if row.name in doubted else ''}{'~' if row.name in noted else ''}"
-        for row, hatched in zip(rows, inaccurate, strict=True)
-    ]
-    name_rows(ax, [f"{mark} {name}".lstrip() for mark, name in zip(marks, names, strict=True)], size)
+    name_rows(ax, bar_names(attribution, rows, scale, name_width), size)
     # A layout may leave half of the width.
     ax.margins(x=max(0.08, 2 * _SIGN * figure_of(ax).dpi / ax.bbox.width))
     if not any(length < 0 for length in lengths):
         ax.set_xlim(left=0, right=None if any(lengths) else 1)
     else:
         ax.axvline(0, color=UNCLEAR, linewidth=0.8)
+
+
+def bar_names(
+    attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None, width: int
+) -> list[str]:
+    """Return what is written beside the bars: names of at most ``width`` characters, after their marks."""
+    noted = range_marked(bar_notes(attribution, rows, scale))
+    doubted = _doubted(attribution)
+    marks = [
+        f"{'!' if hatched else ''}{'?' if row.name in doubted else ''}{'~' if row.name in noted else ''}"
+        for row, hatched in zip(rows, _inaccurate(attribution, rows), strict=True)
+    ]
+    names = shorten([row.label for row in rows], width)
+    return [f"{mark} {name}".lstrip() for mark, name in zip(marks, names, strict=True)]
 
 
 def _is_signed(attribution: Attribution, scale: Scale | None) -> bool:

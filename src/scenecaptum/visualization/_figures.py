@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
@@ -16,7 +16,7 @@ from ..student import clear_from
 from ._finding import finding
 from ._layout import wrapped_lines
 from ._notes import kept_channels
-from ._numbers import rounded
+from ._numbers import columns, rounded
 from ._text import FINDING_WIDTH, metric_line, sign_labels
 
 if TYPE_CHECKING:
@@ -202,6 +202,11 @@ def color_of(row: RankedParameter, attribution: Attribution, scale: Scale | None
 def characters_per_line(inches: float, size: float) -> int:
     """Return how many characters of a font size fit into a width."""
     return max(int(inches * 72 / (_CHARACTER_WIDTH * size)), 12)
+
+
+def width_of(texts: Iterable[str], size: float) -> float:
+    """Return the width of the longest of some lines of a font size in inches."""
+    return max(map(columns, texts), default=0) * _CHARACTER_WIDTH * size / 72
 
 
 def figure_title(
