@@ -922,6 +922,47 @@ def test_captions_are_left_to_the_text_around_the_figure(plot) -> None:
     assert "VanillaSceneGradient" not in all_text(figure)
 
 
+@pytest.mark.parametrize("before", [True, False])
+def test_a_panel_without_captions_keeps_the_title_of_its_caller(before) -> None:
+    """Nothing stands where the title is, whether the caller writes it before the plot or after it."""
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=(7.0, 3.0), layout="constrained")
+    plots = dict(zip((plot_bars, plot_overlay, plot_heatmap), page.subplots(1, 3), strict=True))
+    if before:
+        for plot, ax in plots.items():
+            ax.set_title(plot.__name__)
+    for plot, ax in plots.items():
+        plot(make(), ax=ax, captions=False)
+    if not before:
+        for plot, ax in plots.items():
+            ax.set_title(plot.__name__)
+    page.draw_without_rendering()
+    assert [ax.get_title() for ax in plots.values()] == [plot.__name__ for plot in plots]
+    legend = plots[plot_bars].get_legend().get_window_extent()
+    assert legend.y1 < plots[plot_bars].xaxis.label.get_window_extent().y0
+    assert page.bbox.x0 <= legend.x0
+    assert page.bbox.y0 <= legend.y0
+
+
+@pytest.mark.parametrize("figsize", [(7.0, 3.0), (6.0, 3.0), (5.0, 3.0), (3.5, 3.0)])
+def test_the_caption_of_a_map_alone_on_a_low_page_is_whole(figsize) -> None:
+    from matplotlib.figure import Figure
+
+    page = Figure(figsize=figsize, layout="constrained")
+    ax = page.add_subplot()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        plot_overlay(make(), ax=ax, signed=True)
+        page.draw_without_rendering()
+    caption = ax.title.get_window_extent()
+    assert page.bbox.x0 <= caption.x0
+    assert caption.x1 <= page.bbox.x1
+    assert caption.y1 <= page.bbox.y1
+    assert caption.y0 >= ax.bbox.y1
+    assert ax.bbox.height > 0.4 * page.bbox.height
+
+
 @pytest.mark.parametrize("ratios", [(1, 1), (3, 1)])
 def test_the_title_of_a_map_in_a_column_of_a_page_stays_in_it(ratios: tuple[int, int]) -> None:
     from matplotlib.figure import Figure

@@ -37,6 +37,7 @@ from ._figures import (
     width_of,
     write_at,
     write_header,
+    write_legend_below,
 )
 from ._layout import wrapped_lines
 from ._notes import (
@@ -101,7 +102,7 @@ def plot_bars(
         Width and height of the new figure in inches; by default as high as the rows need.
     captions
         Write the finding and the value above the bars, and the notes below them. False leaves this to the text
-        around the figure, and takes less room.
+        around the figure, and takes less room; the legend is below the axes, so that you can give them a title.
 
     Raises
     ------
@@ -138,8 +139,12 @@ def plot_bars(
 
     style_axes(ax, x="\n".join(axis))
     draw_bars(ax, attribution, rows, scale=scale, name_width=name_width)
-    write_header(ax, title, handles=legend, size=TEXT)
-    add_footnotes(ax, footnotes, below=24 + 1.25 * TEXT * len(axis))
+    below = 24 + 1.25 * TEXT * len(axis)
+    if captions:
+        write_header(ax, title, handles=legend, size=TEXT)
+        add_footnotes(ax, footnotes, below=below)
+    else:
+        write_legend_below(ax, legend, below=below, size=TEXT)
     if not own:
         options = [NO_CAPTIONS, "a smaller top="] if captions else ["a smaller top="]
         warn_if_cramped(ax, Room(_LEAST_BAR * len(rows), LEAST_BARS, options))

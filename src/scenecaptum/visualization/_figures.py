@@ -261,11 +261,23 @@ def write_header(
 ) -> None:
     """Write the title and, between it and the axes, a legend of ``handles``, by default of all with a label."""
     entries = ax.get_legend_handles_labels()[0] if handles is None else handles
+    _write_legend(ax, entries, columns, size, loc="lower left", bbox_to_anchor=(0, 1))
+    lines = -(-legend_lines(entries) // columns)
+    ax.set_title(title, loc="left", fontsize=TITLE, pad=8 + 1.5 * size * lines, parse_math=False)
+
+
+def write_legend_below(ax: Axes, handles: Sequence[Any], *, below: float, size: float = SMALL) -> None:
+    """Write a legend ``below`` points below the axes, which leaves what is above them to a caller's title."""
+    from matplotlib.transforms import ScaledTranslation
+
+    place = ax.transAxes + ScaledTranslation(0, -below / 72, figure_of(ax).dpi_scale_trans)
+    _write_legend(ax, handles, 1, size, loc="upper left", bbox_to_anchor=(0, 0), bbox_transform=place)
+
+
+def _write_legend(ax: Axes, entries: Sequence[Any], columns: int, size: float, **place: Any) -> None:
     if entries:
         ax.legend(
             handles=entries,
-            loc="lower left",
-            bbox_to_anchor=(0, 1),
             borderaxespad=0.2,
             borderpad=0 if columns == 1 else None,
             ncols=columns,
@@ -273,9 +285,8 @@ def write_header(
             handletextpad=0.5,
             fontsize=size,
             frameon=False,
+            **place,
         )
-    lines = -(-legend_lines(entries) // columns)
-    ax.set_title(title, loc="left", fontsize=TITLE, pad=8 + 1.5 * size * lines, parse_math=False)
 
 
 def legend_lines(entries: Sequence[Any]) -> int:

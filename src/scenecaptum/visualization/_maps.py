@@ -305,7 +305,7 @@ def _lines(texts: Sequence[str], width: float) -> list[str]:
 
 def _write_lines(ax: Axes, lines: Sequence[str]) -> None:
     # Panels that are drawn later may move the axes towards the edge of the figure.
-    ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False, wrap=True)
+    ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False)
 
 
 def _beside(ax: Axes) -> Axes:
@@ -318,7 +318,8 @@ def _write_above(ax: Axes, texts: Sequence[str]) -> None:
     figure_of(ax).draw_without_rendering()  # the layout moves the axes
     left, right = column_of(ax)
     center = (ax.bbox.x0 + ax.bbox.x1) / 2
-    _write_lines(ax, _lines(texts, 2 * min(center - left, right - center) / figure_of(ax).dpi))
+    if texts:  # else the title is the caller's
+        _write_lines(ax, _lines(texts, 2 * min(center - left, right - center) / figure_of(ax).dpi))
     warn_if_cramped(ax, Room(_LEAST_MAP, _LEAST_MAP, [NO_CAPTIONS] if texts else []))
 
 
