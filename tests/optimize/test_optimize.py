@@ -334,12 +334,14 @@ def test_lights_that_are_all_off_are_named(mi: Any) -> None:
     ("before", "after", "whole", "extent"),
     [
         ([25.0, 22.0, 18.0], [50.6, 47.6, 43.6], "light", "115 % more"),  # in red, 102 %
-        ([25.0, 22.0, 18.0], [20.0, 22.0, 20.0], "light", "by 20 % of its value"),
+        ([25.0, 22.0, 18.0], [20.0, 22.0, 20.0], "light", "by up to 20 % of its value"),
         ([25.0, 22.0, 18.0], [0.0, 0.0, 0.0], "light", "switched off"),
         ([0.0, 0.0, 0.0], [1.24, 1.24, 1.24], "light", "switched on"),
         ([8.0], [4.0], "light", "50 % less"),
         ([8.0], [4.0], "value", "by 50 % of its value"),
         ([8.0], [4.0], "range", "by 50 % of its range"),
+        ([4.8, 1.6, 1.6], [2.7, 0.1, 0.1], "range", "by up to 26 % of its range"),
+        ([4.8, 4.0, 4.4], [6.8, 6.0, 6.4], "range", "by 25 % of its range"),
     ],
 )
 def test_a_change_is_put_in_the_words_of_what_changes(

@@ -83,14 +83,15 @@ def minimize(  # noqa: PLR0913 -- options shared by all methods, plus its own
 ) -> Optimization:
     """Lower a metric below a goal with torch's Adam, changing only the most salient parameters.
 
-    Parameters are ranked by their effects over their ranges. All but the top ones are kept constant, and so are
-    those whose effects are within two standard errors, and the cones of spots. A lamp or a sky that is off stays
-    off unless ``limits`` names it. A colour changes per channel, a texture by one offset per channel for all
-    texels; a lamp or a sky is dimmed, and keeps its colour; no reflectance is raised above 0.85, that of white
-    paint. Every step renders with a new seed. The goal counts as reached once a measurement with independent
-    samples confirms it; the last step is then shortened as far as the goal allows. A search that misses the goal
-    returns the best of its steps, or the start if none is lower. A scene that is below the goal already, and
-    within its limits, is kept.
+    Parameters are ranked by their effects over their ranges. All but the top ones are kept constant, and so
+    are those whose effects are within two standard errors, and the cones of spots. A lamp or a sky that is
+    off stays off unless ``limits`` names it. A colour changes per channel, a texture by one offset per
+    channel for all texels; a lamp or a sky is dimmed, and keeps its colour; no reflectance is raised above
+    0.85, that of white paint, and no value moves closer to a physical bound than 1 % of its range. Every step
+    renders with a new seed. The goal counts as reached once a measurement with independent samples confirms
+    it; the last step is then shortened as far as the goal allows. A search that misses the goal returns the
+    best of its steps, or the start if none is lower. A scene that is below the goal already, and within its
+    limits, is kept.
 
     Example
     -------

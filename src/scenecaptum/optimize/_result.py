@@ -100,7 +100,10 @@ class Moved:
 
     @property
     def extent(self) -> str:
-        """How far it was changed: ``"by 31 % of its range"``, ``"31 % less"`` light, or ``"switched on"``."""
+        """How far it was changed: ``"by 31 % of its range"``, ``"31 % less"`` light, or ``"switched on"``.
+
+        ``"by up to 31 %"`` if one channel of a colour changed more than another.
+        """
         percent, is_light = f"{100 * self.fraction:.0f} %", self.whole == "light"
         if is_light and not self.before.any():
             return "switched on"
@@ -110,7 +113,10 @@ class Moved:
             return f"{percent} less"
         if is_light and bool((self.after >= self.before).all()):
             return f"{percent} more"
-        return f"by {percent} of its {'range' if self.whole == 'range' else 'value'}"
+        changes = (self.after - self.before).abs().flatten()
+        least = changes.min() / changes.max() if changes.any() else 1.0
+        up_to = "" if f"{100 * self.fraction * least:.0f} %" == percent else "up to "
+        return f"by {up_to}{percent} of its {'range' if self.whole == 'range' else 'value'}"
 
 
 def changed_fraction(before: torch.Tensor, after: torch.Tensor, length: torch.Tensor, whole: Whole) -> float:
