@@ -21,7 +21,7 @@ from scenecaptum.explanation._sources import find_sources
 from scenecaptum.explanation._threshold import small_lamp_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
-from scenecaptum.visualization import format_with_error, plot_bars, table_text
+from scenecaptum.visualization import format_with_error, plot_bars, rounded, table_text
 
 
 @pytest.fixture(scope="module")
@@ -291,6 +291,29 @@ def test_the_rating_by_the_other_threshold_has_the_decimals_of_the_one_it_stands
     (note,) = [one for one in photometric_premises(metric, image, 24.7, error) if "UGR is" in one]
     assert len(note.rpartition(".")[2]) == decimals
     assert len(format_with_error(24.7, error).split()[0].rpartition(".")[2]) == decimals
+
+
+@pytest.mark.parametrize(
+    ("factor", "jumps"), [(4.9, True), (5.0, True), (5.1, True), (6.0, False), (4.0, False)]
+)
+def test_the_rating_by_the_other_threshold_says_where_it_jumps(factor: float, jumps: bool) -> None:
+    """A source that is as bright as the threshold counts or not by chance: the sentence has both ratings."""
+    window, bulb = (slice(4, 8), slice(4, 12)), (slice(12, 13), slice(8, 9))
+    camera = Camera.perspective(16, 16, fov_x=60)
+    image = torch.full((16, 16, 3), 1.0)
+    image[bulb] = 40.0
+    shares = camera.solid_angles / camera.solid_angles.sum()
+    share = shares[window].sum().item()  # of the view: the window raises the mean luminance itself
+    rest = (shares * image[..., 0]).sum().item() - share
+    level = factor * rest / (1 - factor * share)
+    image[window] = level
+    metric = metrics.UnifiedGlareRating(camera, threshold=0.5 * 179 * level)
+    (note,) = [one for one in photometric_premises(metric, image, 20.0, 0.1) if "UGR is" in one]
+    low, high = (metric.relative_to_mean(other).hard(image).item() for other in (5 * 1.03, 5 * 0.97))
+    assert (" within 3 % of that threshold" in note) == jumps, note
+    if jumps:
+        assert f"({rounded(low)} to {rounded(high)} within" in note
+        assert high > low + 1.0
 
 
 class _Firefly:

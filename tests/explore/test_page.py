@@ -336,6 +336,10 @@ def test_the_design_as_python_gives_the_same_metric(window):
         value, error = number(printed)
         assert abs(value - one["value"]) < allowed(REPLICATES, len(described)) * together(error, one["error"])
 
+    assert window.page.get_by_label("Code").is_visible()
+    window.set(LAMP, 0.9)
+    assert window.page.get_by_label("Code").is_hidden(), "the code is that of the design before"
+
 
 def test_the_design_as_a_command_gives_the_same_metric(window, capsys, tmp_path):
     window.set(LAMP, 0.6)

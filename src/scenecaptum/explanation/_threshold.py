@@ -17,6 +17,8 @@ NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
 NOTABLE = 0.01  # of a rating
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
+ASIDE = 0.03  # of that threshold: how far noise may take a source
+JUMP = 0.02  # of a rating
 
 
 def threshold_notes(
@@ -116,14 +118,23 @@ def is_near_threshold(metric: GlareRating, image: torch.Tensor) -> bool:
 
 
 def relative_sentence(metric: GlareRating, image: torch.Tensor, style: Format) -> str:
-    """Return ``"with a threshold of 5 times the mean luminance, UGR is 21.6"``, in a style of numbers."""
+    """Return ``"with a threshold of 5 times the mean luminance, UGR is 21.6"``, in a style of numbers.
+
+    If a source is as bright as that threshold, the rating jumps there, and the sentence says from what to what.
+    """
     rating, name = relative_rating(metric, image), metric.measure.symbol or metric.measure.name
-    return f"with a threshold of {FACTOR:g} times the mean luminance, {name} is {style.write(rating)}"
+    text = f"with a threshold of {FACTOR:g} times the mean luminance, {name} is {style.write(rating)}"
+    beside = [relative_rating(metric, image, FACTOR * (1 + aside)) for aside in (-ASIDE, ASIDE)]
+    low, high = min(rating, *beside), max(rating, *beside)
+    if high - low <= JUMP * abs(rating):
+        return text
+    between = f"{rounded(low)} to {rounded(high)} within {100 * ASIDE:g} % of that threshold"
+    return f"{text} ({between}, which a source is close to)"
 
 
-def relative_rating(metric: GlareRating, image: torch.Tensor) -> float:
-    """Return the rating of a picture with the other usual threshold."""
-    return metric.relative_to_mean(FACTOR).hard(image).item()
+def relative_rating(metric: GlareRating, image: torch.Tensor, factor: float = FACTOR) -> float:
+    """Return the rating of a picture with a threshold relative to its mean luminance: the other usual one."""
+    return metric.relative_to_mean(factor).hard(image).item()
 
 
 def _main_source(metric: GlareRating, image: torch.Tensor) -> GlareSource | None:

@@ -374,6 +374,7 @@ class Page {
   }
 
   draw() {
+    this.parts.code.hidden ||= !same(this.design, this.copied);
     if (this.frame) return;
     this.frame = requestAnimationFrame(() => {
       this.frame = 0;
@@ -878,7 +879,9 @@ class Page {
     return [this.scene.recipe.command, ...inputs, ...changes].join(" \\\n  ") + "\n";
   }
 
+  /** Copy the code of the design, and show it until the design changes. */
   copy(text) {
+    this.copied = this.design;
     Object.assign(this.parts.code, { value: text, hidden: false });
     this.parts.code.select();
     navigator.clipboard?.writeText(text).then(
