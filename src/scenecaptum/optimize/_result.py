@@ -240,7 +240,7 @@ class Optimization:
             (name, _format_values(moved.before), _format_values(moved.after), moved.extent)
             for name, moved in zip(names, self.moved, strict=True)
         ]
-        table = [*grid(("changed", "before", "after", "by"), cells), ""] if self.moved else []
+        table = [*grid(("changed", "before", "after", "change"), cells), ""] if self.moved else []
         return "\n".join([*table, *filter(None, [self.outcome, self.note])])
 
     __repr__ = __str__
