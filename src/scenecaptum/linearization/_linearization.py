@@ -204,7 +204,7 @@ class Linearization:
         last: set[str] = set()
         for attribution in self.attributions:
             last |= attribution.ranked_last()
-            # Lights that are off come after all others; what has no effect at all is left out.
+            # Effects that say little of their ranges come last; what has no effect at all is left out.
             rows = [row for row in attribution.ranking() if row.name in self.designs.sliders]
             most = max((row.saliency for row in rows), default=0.0) or 1.0
             for row in rows:

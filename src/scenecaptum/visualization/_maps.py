@@ -304,7 +304,7 @@ def _lines(texts: Sequence[str], width: float) -> list[str]:
 
 
 def _write_lines(ax: Axes, lines: Sequence[str]) -> None:
-    # Panels that are drawn later may move the axes towards the edge of the figure.
+    # Not with wrap=True: matplotlib wraps anew while a layout is computed, in axes that may still be narrow.
     ax.set_title("\n".join(lines), fontsize=TEXT, parse_math=False)
 
 
