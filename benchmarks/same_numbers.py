@@ -1,8 +1,11 @@
 """Check that a refactoring does not change results: record every method's attributions before, and compare after.
 
 ``record`` writes the attributions of each method in the Cornell box, the office and the living room with fixed
-seeds; ``compare`` computes them again and prints the largest difference of each run, relative to the largest value
-of that input. Gradients of few samples repeat to about 1e-6, because sums on the device have no fixed order.
+seeds, those to logits of a network, and those to poses; ``compare`` computes them again and prints the largest
+difference of each run, relative to the largest value of that input. A table of the documentation, times aside,
+holds for today's code if the runs of its kind are the same as at the commit that wrote it: ``record`` there, with
+this file and ``PYTHONPATH``, and ``compare`` here. Gradients of few samples repeat to about 1e-6, because sums on
+the device have no fixed order.
 ``repeat`` shows how far: the gradient of a light is a sum over nearly all samples, whose rounding grows with their
 number; a deep network with kinks has another gradient at a picture that differs in its last bits, and pixels are
 sampled by that gradient.
@@ -51,6 +54,10 @@ METHODS: tuple[tuple[Any, dict[str, Any]], ...] = (
     (FeatureAblationScene, {"replicates": 3}),
     (ShapleyValueScene, {"n_samples": 2, "replicates": 2}),
 )
+NETWORK_METHODS: tuple[tuple[Any, dict[str, Any]], ...] = (
+    (VanillaSceneGradient, {}),
+    (IntegratedGradientsScene, {"n_steps": 4, "picture_spp": 64}),
+)
 WINDOWS = (OcclusionScene, {"replicates": 2, "sliding_window_shapes": 16})
 
 
@@ -77,11 +84,35 @@ def attributions() -> Iterator[tuple[str, dict[str, torch.Tensor]]]:
             for method, options in METHODS:
                 run = f"{room} · {type(metric).__name__} · {method.__name__} {options or ''}"
                 yield run, numbers(method(renderer, metric).attribute(seed=3, **options))
+    yield from attributions_to_logits()
+    yield from attributions_to_poses()
     office = SceneRenderer(BUNDLED["office"](), inputs="textures", resolution=(24, 24), spp=8, max_depth=4)
     if office.inputs:
         method, options = WINDOWS
         attribution = method(office, metrics.MeanLuminance()).attribute(seed=3, **options)
         yield f"office · textures · {method.__name__}", numbers(attribution)
+
+
+def attributions_to_logits() -> Iterator[tuple[str, dict[str, torch.Tensor]]]:
+    """Yield the runs of a smoothed and of a plain logit in the office."""
+    inputs = ["reflectance", "emitters"]
+    renderer = SceneRenderer(BUNDLED["office"](), inputs=inputs, resolution=(32, 18), spp=8, max_depth=4)
+    network = metrics.ShapeClassifier.pretrained()
+    for name, logit in (
+        ("smoothed logit", metrics.ClassLogit(network, "cube", smoothing=0.3)),
+        ("plain logit", metrics.ClassLogit(network, "cube")),
+    ):
+        for method, options in NETWORK_METHODS:
+            run = f"office · {name} · {method.__name__} {options or ''}"
+            yield run, numbers(method(renderer, logit).attribute(seed=3, **options))
+
+
+def attributions_to_poses() -> Iterator[tuple[str, dict[str, torch.Tensor]]]:
+    """Yield the run of the camera and of an object of the Cornell box."""
+    inputs = ["tall_box_shape.pose.*", "camera.pose.*"]
+    renderer = SceneRenderer(BUNDLED["cornell-box"](), inputs=inputs, resolution=(24, 24), spp=8, max_depth=4)
+    attribution = VanillaSceneGradient(renderer, metrics.MeanLuminance()).attribute(seed=3)
+    yield "cornell-box · poses · MeanLuminance", numbers(attribution)
 
 
 def numbers(attribution: Any) -> dict[str, torch.Tensor]:
