@@ -155,6 +155,7 @@ def test_a_command_says_that_the_scene_asks_for_another_depth(tmp_path, recwarn,
         ("attribute --replicates 2 --no-progress --report --out {folder}", "12", True),
         ("attribute --replicates 2 --no-progress --report --out {folder}", "6", False),
         ("explore --to {folder}/report.html", "12", True),
+        ("compare --set constant.radiance.value=0.7 --no-progress --out {folder}", "12", True),
     ],
 )
 def test_a_page_says_which_light_is_missing(
@@ -168,7 +169,8 @@ def test_a_page_says_which_light_is_missing(
         warnings.simplefilter("ignore")  # of the depth
         assert cli.main([name, str(scene), "-D", "spp=4", "-D", "size=8", *options]) == 0
     note = "light of paths of more than 6 segments is missing; the scene asks for up to 12"
-    assert (note in (tmp_path / "report.html").read_text()) is is_said
+    (page,) = tmp_path.glob("*.html")
+    assert (note in page.read_text()) is is_said
 
 
 @pytest.mark.parametrize(

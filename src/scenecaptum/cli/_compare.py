@@ -19,6 +19,7 @@ from ..errors import SceneCaptumError
 from ..estimation import Metric, TargetedMetric, at_values, difference_by_definition
 from ..explanation import (
     definition_of,
+    depth_premises,
     grid_premises,
     photometric_premises,
     rated_image,
@@ -247,6 +248,7 @@ def _side(
         plan_of(of_value, renderer, metric, attribution.info),
         definition,
         of_picture + premises(metric, options) + grid_premises(renderer),
+        depth_premises(renderer),
     )
 
 

@@ -57,12 +57,13 @@ OPPOSITE = "caution: the direction of this change depends on the threshold"
 class Side:
     """What belongs to one of the two results: its plan, its value by the definition, and its premises.
 
-    A result that was saved has none of these.
+    ``on_page`` has the premises of which the terminal was warned before. A saved result has none of these.
     """
 
     plan: Figure | None = None
     definition: Definition | None = None
     premises: Sequence[str] = ()
+    on_page: Sequence[str] = ()
     is_saved: bool = False
 
 
@@ -156,7 +157,7 @@ class Compared:
         if self.are_relaxed_ratings():
             results = [dataclasses.replace(one, info={**one.info, "verdict": ""}) for one in results]
         return [
-            Explanation(one, definition=side.definition, premises=tuple(side.premises), count=0)
+            Explanation(one, definition=side.definition, premises=(*side.premises, *side.on_page), count=0)
             for one, side in zip(results, self.sides, strict=True)
         ]
 
