@@ -34,8 +34,8 @@ def warn_of_training_mode(function: Callable[..., Any]) -> None:
             state = "is in training mode" if network.training else "has layers in training mode"
             refers = "" if network is function else f" refers to {place} ({type(network).__name__}), which"
             warnings.warn(
-                f"{name}{refers} {state}: dropout and batch normalization act as in training, and "
-                f"running statistics change. Call .eval() on {place} first.",
+                f"{name}{refers} {state}: layers such as dropout and batch normalization act as in training, and "
+                f"may change their statistics. Call .eval() on {place} first.",
                 stacklevel=_outside(),
             )
 
@@ -48,27 +48,38 @@ def _trains(network: torch.nn.Module) -> bool:
 def _differs_in_training(layer: torch.nn.Module) -> bool:
     """Whether a layer itself, without those in it, behaves differently in training mode.
 
-    What is not known, a class outside ``torch.nn`` or a layer with hooks such as spectral normalization, may do so
-    if it has parameters or buffers, or a method that reads ``training``.
+    What is not known, a layer with hooks or a class of torch outside ``torch.nn.modules`` such as spectral
+    normalization, may do so if it has parameters or buffers.
     """
-    if not type(layer).__module__.startswith("torch.nn.modules.") or layer._forward_pre_hooks:
+    kind = type(layer).__module__
+    if layer._forward_pre_hooks or (kind.startswith("torch.") and not kind.startswith("torch.nn.modules.")):
         own = itertools.chain(layer.parameters(recurse=False), layer.buffers(recurse=False))
-        return next(own, None) is not None or _reads_training(type(layer))
+        return next(own, None) is not None
     if isinstance(layer, _NormBase):
         return bool(layer.track_running_stats)  # else the batch's statistics in both modes
-    if isinstance(layer, torch.nn.MultiheadAttention | torch.nn.RNNBase):
-        return layer.dropout > 0
-    return isinstance(layer, torch.nn.RReLU) or (isinstance(layer, _DropoutNd) and layer.p > 0)
+    if isinstance(layer, torch.nn.MultiheadAttention | torch.nn.RNNBase) and layer.dropout > 0:
+        return True
+    if isinstance(layer, torch.nn.RReLU) or (isinstance(layer, _DropoutNd) and layer.p > 0):
+        return True
+    return _reads_training(type(layer))
 
 
 def _reads_training(kind: type[torch.nn.Module]) -> bool:
     """Whether a method of a class, or of one outside ``torch`` that it inherits from, reads ``training``."""
-    return any(
-        isinstance(method, types.FunctionType) and "training" in method.__code__.co_names
+    members = [
+        member.fget if isinstance(member, property) else member
         for cls in kind.__mro__
         if not cls.__module__.startswith("torch.")
-        for method in vars(cls).values()
-    )
+        for member in vars(cls).values()
+    ]
+    functions = [inspect.unwrap(one) for one in members if callable(one)]
+    return any(_names_training(one.__code__) for one in functions if isinstance(one, types.FunctionType))
+
+
+def _names_training(code: types.CodeType) -> bool:
+    """Whether code, or that of a function inside, has the name ``training``, or the string for getattr."""
+    inside = (one for one in code.co_consts if isinstance(one, types.CodeType))
+    return "training" in (*code.co_names, *code.co_consts) or any(map(_names_training, inside))
 
 
 def _layers(network: torch.nn.Module) -> Iterator[torch.nn.Module]:
