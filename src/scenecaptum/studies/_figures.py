@@ -383,31 +383,34 @@ def _draw_gallery(
     rooms, cameras = names
     some = next(iter(places.values()))
     ratio = max(one.image.shape[0] / one.image.shape[1] for one in places.values() if one.image is not None)
-    width = min(2.6, max(1.5, (WIDTH - 1.0) / len(cameras)))
-    part: Any = figure or new_figure(width * len(cameras) + 1.0, (width * ratio + 0.2) * len(rooms) + 0.9)
-    axes = part.subplots(len(rooms), len(cameras), squeeze=False)
-    mapped: Any = None
-    for (row, room), (column, camera) in itertools.product(enumerate(rooms), enumerate(cameras)):
-        attribution, ax = places.get((room, camera)), axes[row, column]
+    grid = _gallery_rows(rooms, cameras)
+    columns = len(grid[0])
+    width = min(2.6, max(1.5, (WIDTH - 1.0) / columns))
+    above = 0.2 if len(cameras) > 1 else 0.35  # each map, in inches
+    part: Any = figure or new_figure(width * columns + 1.0, (width * ratio + above) * len(grid) + 0.9)
+    axes = part.subplots(len(grid), columns, squeeze=False)
+    for ax in axes.flat:
         ax.set_axis_off()
-        if attribution is None:
-            ax.text(0.5, 0.5, "no picture", ha="center", va="center", fontsize=SMALL, transform=ax.transAxes)
-        else:
-            mapped = draw_overlay(
-                ax, attribution, heatmap(attribution, signed=True, maximum=maximum), signed=True
-            )
-        value = "" if attribution is None else _value(attribution)
-        heading = f"{_camera_name(camera)}\n{value}" if row == 0 and len(cameras) > 1 else value
-        ax.set_title(heading, fontsize=SMALL, parse_math=False)
-        if column == 0:
-            name = shorten([room], max(10, characters_per_line(width * ratio, SMALL)))[0]
-            style: dict[str, Any] = {
-                "xycoords": "axes fraction",
-                "rotation": 90,
-                "ha": "right",
-                "va": "center",
-            }
-            write_at(ax, name, (0, 0.5), (-5, 0), fontsize=SMALL, **style)
+    mapped: Any = None
+    for row, names_of_row in enumerate(grid):
+        for column, (room, camera) in enumerate(names_of_row):
+            attribution, ax = places.get((room, camera)), axes[row, column]
+            if attribution is None:
+                style: dict[str, Any] = {"ha": "center", "va": "center", "transform": ax.transAxes}
+                ax.text(0.5, 0.5, "no picture", fontsize=SMALL, **style)
+            else:
+                colours = heatmap(attribution, signed=True, maximum=maximum)
+                mapped = draw_overlay(ax, attribution, colours, signed=True)
+            value = "" if attribution is None else _value(attribution)
+            if len(cameras) == 1:
+                value = f"{shorten([room], max(10, characters_per_line(width, SMALL)))[0]}\n{value}"
+            elif row == 0:
+                value = f"{_camera_name(camera)}\n{value}"
+            ax.set_title(value, fontsize=SMALL, parse_math=False)
+            if column == 0 and len(cameras) > 1:
+                name = shorten([room], max(10, characters_per_line(width * ratio, SMALL)))[0]
+                style = {"xycoords": "axes fraction", "rotation": 90, "ha": "right", "va": "center"}
+                write_at(ax, name, (0, 0.5), (-5, 0), fontsize=SMALL, **style)
     inches = part.bbox.size / figure_of(part).dpi
     aspect = inches[1] / _COLORBAR
     bar = draw_colorbar(
@@ -422,6 +425,14 @@ def _draw_gallery(
     lines = [*wrapped_lines(title, characters_per_line(inches[0] - 0.3, TITLE)), *more]
     part.suptitle("\n".join(lines), fontsize=TITLE, x=0.02, ha="left", parse_math=False)
     return figure_of(part)
+
+
+def _gallery_rows(rooms: Sequence[str], cameras: Sequence[str]) -> list[list[tuple[str, str]]]:
+    """Return room and camera of each map: a row for each room, or rooms side by side if there is one camera."""
+    if len(cameras) > 1:
+        return [[(room, camera) for camera in cameras] for room in rooms]
+    columns = 2 if len(rooms) == 4 else min(len(rooms), 3)
+    return [[(room, cameras[0]) for room in rooms[at : at + columns]] for at in range(0, len(rooms), columns)]
 
 
 def _camera_name(camera: str) -> str:

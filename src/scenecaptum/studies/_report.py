@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 INDEX, PAGES = "index.html", "cells"
 RELATIVE = f"at {FACTOR:g} × the mean"  # the other threshold of a glare rating
+CSS_INCH = 96  # pixels of a page
 MAX_EFFECTS = 4  # figures for each metric, design and method
 
 _AXES = {
@@ -227,7 +228,9 @@ def _figure(draw: Callable[[], Figure]) -> str:
 
 def _image(figure: Figure) -> str:
     """Return a figure with its title as alternative text."""
-    source, (height, width) = encode_figure(figure)
+    source, _ = encode_figure(figure)
+    # Its own size in inches: the page shows the letters of all figures alike.
+    width, height = (round(CSS_INCH * side) for side in figure.get_size_inches())
     titles = [figure.get_suptitle(), *(ax.get_title(loc="left") for ax in figure.axes)]
     text = html.escape(" ".join(next(filter(None, titles), "figure").split()))
     return f'<figure><img src="{source}" alt="{text}" width="{width}" height="{height}"></figure>'
