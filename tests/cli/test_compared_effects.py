@@ -133,7 +133,8 @@ def test_a_light_that_is_off_in_both_designs_has_no_effect_and_is_counted_only(i
     assert not any(row.startswith("lamp") for row in rows_of(text))
     joined = " ".join(" ".join(text).split())
     assert "1 of lights that are off" in joined
-    assert "lamp is off in both, so its effect, from off to its value, is 0." in joined
+    assert "lamp is off in both, so in the comparison its effect, from off to its value, is 0. " in joined
+    assert "Each result's own table has its effect if it is switched on." in joined
     assert "ranked last" not in joined
     assert "switching on" not in joined
 

@@ -171,9 +171,12 @@ def own_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
             f"each that of its own result: for a light from off to its value{zero}."
         )
     if off := [name for name in before if name in before.lights_off() & after.lights_off()]:
-        one, several = "its effect, from off to its value, is", "their effects, from off to their values, are"
+        one = ("its effect, from off to its value, is", "its effect if it is switched on")
+        several = ("their effects, from off to their values, are", "their effects if they are switched on")
+        here, alone = one if len(off) == 1 else several
         sentences.append(
-            f"{_named(before, off)} {_is(off)} off in both, so {one if len(off) == 1 else several} 0."
+            f"{_named(before, off)} {_is(off)} off in both, so in the comparison {here} 0. Each result's own table has "
+            f"{alone}."
         )
     return sentences
 
