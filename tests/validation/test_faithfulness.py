@@ -368,6 +368,12 @@ def test_many_parameters_move_in_few_steps():
     assert "+ 1 more" in str(curves)
 
 
+def test_axes_count_whole_parameters():
+    figure = deletion_insertion(Lamps(lamps=3), torch.mean, random_orders=2).plot()
+    for ax in figure.axes:
+        assert [tick % 1 for tick in ax.get_xticks()] == [0] * len(ax.get_xticks())
+
+
 def test_parameters_at_their_baselines_are_left_out():
     renderer = Lamps()
     renderer.inputs["lamp 1"] = torch.tensor(0.0)

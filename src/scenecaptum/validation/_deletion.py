@@ -275,6 +275,7 @@ class DeletionInsertion:
         random = (self.random - self.deletion[0]).mean(2)
         for ax, random_moved in ((left, moved), (right, moved[-1] - moved)):
             ax.axhline(0, color="0.75", linewidth=0.8, zorder=0)
+            ax.locator_params(axis="x", integer=True)
             low, high = random.amin(0), random.amax(0)
             ax.fill_between(random_moved, low, high, color="0.88", linewidth=0, label="random orders")
             ax.plot(random_moved, random.mean(0), color="0.6", linewidth=0.8)
