@@ -618,6 +618,22 @@ def test_glass_and_mirrors_are_told_from_what_is_not_in_view(browser, tmp_path):
     page.context.close()
 
 
+def test_the_largest_effects_out_of_sight_are_named_and_the_others_counted(browser, tmp_path):
+    found = ranged()
+    unseen = dataclasses.replace(found.surfaces, parameters=tuple(() for _ in found.surfaces.objects))
+    path = written(tmp_path, dataclasses.replace(found, surfaces=unseen))
+    page = Page(browser, path)
+    (said,) = re.findall(r"Not in the picture: (.*)", page.page.locator("#detail").inner_text())
+    *named, rest = said.removesuffix(".").split("; ")
+    ranked = [row for row in found.ranking() if row.saliency]
+    for number, (text, row) in enumerate(zip(named, ranked[:3], strict=True), start=1):
+        start = f"{row.label}, #{number} with {'an effect of ' if number == 1 else ''}"
+        assert text.startswith(start)
+    assert rest == f"and {len(ranked) - 3} more"
+    page.check(path)
+    page.context.close()
+
+
 # ---------------------------------------------------------------------------------------------------- on a phone
 
 

@@ -92,9 +92,13 @@ function othersOf(results, current, name) {
 /** Before anything is selected: how to read the picture, and what matters out of sight. */
 function hintOf(result, isPlan) {
   if (isPlan) return [make("p", { class: "muted hint" }, "Click a row of the table to see all about its parameter.")];
-  const unseen = result.rows.findIndex((row, index) => row.saliency > 0 && !row.seenThrough && !row.isCamera && objectsOf(result, index).length === 0);
   const hint = `Point at the picture to read an object; click it${hasEffects(result) ? ", or a row of the table," : ""} to keep it lit.`;
-  const hidden = unseen < 0 || unseen > 9 ? null : make("p", { class: "muted" }, `Not in the picture: ${result.rows[unseen].label}, #${unseen + 1} with an effect of ${withError(result.rows[unseen].written)}.`);
+  const unseen = result.rows.map((row, index) => ({ row, rank: index + 1 }))
+    .filter(({ row, rank }) => row.saliency > 0 && !row.seenThrough && !row.isCamera && objectsOf(result, rank - 1).length === 0);
+  const named = unseen.filter(({ rank }) => rank <= 10).slice(0, 3);
+  const texts = named.map(({ row, rank }, index) => `${row.label}, #${rank} with ${index ? "" : "an effect of "}${withError(row.written)}`);
+  if (unseen.length > named.length) texts.push(`and ${unseen.length - named.length} more`);
+  const hidden = named.length === 0 ? null : make("p", { class: "muted" }, `Not in the picture: ${texts.join("; ")}.`);
   return [make("p", { class: "muted hint" }, hint), hidden].filter(Boolean);
 }
 
