@@ -48,22 +48,17 @@ def range_notes(
 def light_notes(
     attribution: Attribution, rows: Sequence[RankedParameter], scale: Scale | None = None
 ) -> list[str]:
-    """Return a note on the effects of lights, unless they are small or the metric is linear in the light.
+    """Return a note on the effects of lights, unless the metric is linear in the light.
 
-    Of contributions it is on a light that has two rows.
+    A small effect has it, too: a derivative says little of what remains without the light. Of contributions it is
+    on a light that has two rows.
     """
     if attribution.kind in SHARES:
         return _shared_light_notes(attribution, [row.name for row in rows])
     kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
     if kind is not ResultKind.EFFECT or attribution.info.get("linear_in_light"):
         return []
-    on, allowed = attribution.info.get("lights_on", ()), clear_from(attribution.info)
-    last = attribution.ranked_last(scale)  # such as of lights that are off, however large
-    ranked = [row.saliency for row in attribution.ranking(scale=scale) if row.name not in last]
-    least = _NOTABLE * max(ranked, default=0.0)
-    if not any(
-        row.name in on and row.saliency > max(least, allowed * (row.saliency_error or 0.0)) for row in rows
-    ):
+    if not any(row.name in attribution.info.get("lights_on", ()) for row in rows):
         return []
     # Without surfaces, as of a sensor grid, there are no objects to group by.
     groups = "material" if attribution.surfaces is None else "object"
