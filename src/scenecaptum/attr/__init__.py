@@ -28,6 +28,7 @@ from ._attribution import versions as versions
 from ._baseline_words import describe_baselines as describe_baselines
 from ._baseline_words import have_same_baselines as have_same_baselines
 from ._baselines import Baselines as Baselines
+from ._baselines import own_texels as own_texels
 from ._baselines import resolve_baselines as resolve_baselines
 from ._baselines import table_of as table_of
 from ._data import Ranked as Ranked

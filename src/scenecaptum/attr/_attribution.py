@@ -19,6 +19,7 @@ from ..estimation import Adjoints, GradientSum, TargetedMetric, scaled
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer, ResultKind, Scale
 from ..visualization import DEFAULT_TOP
+from ._baselines import own_texels
 from ._data import AttributionData, Ranked, Tensors, covariances, summarize
 from ._difference import add, multiply, subtract
 from ._explanation import DEFAULT_EFFECTS, Explanation
@@ -399,7 +400,7 @@ def make_attribution(
         replicates=replicates,
         covariance=covariances(replicates, bias) if has_errors else None,
         extents=extents(renderer, values),
-        parameter_values=summarize(values),
+        parameter_values=summarize(own_texels(renderer, values)),
         labels=dict(Capabilities(renderer).labels or {}),
         image=image,
         surfaces=surfaces,

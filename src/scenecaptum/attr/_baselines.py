@@ -86,6 +86,13 @@ def table_of(renderer: Renderer) -> Mapping[str, Parameter] | None:
     return None if describe is None else describe()
 
 
+def own_texels(renderer: Renderer, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return the values without the columns that Mitsuba adds to an environment map, so that means are its own."""
+    table = table_of(renderer) or {}
+    repeating = [name for name in values if name in table and table[name].repeats_columns]
+    return {**values, **{name: values[name][:, 1:-1] for name in repeating}}
+
+
 def _absent(renderer: Renderer, values: Values) -> dict[str, Any]:
     table = table_of(renderer)
     if table is None:

@@ -35,6 +35,7 @@ from ..executors import spread
 from ..finite import error_context
 from ..protocols import Capabilities, Renderer, ResultKind
 from ._attribution import SceneAttribution, info_of, seen_through, surfaces_of, versions
+from ._baselines import own_texels
 from ._convergence import convergence
 from ._data import summarize
 from ._method import AttributionInterrupted, Result, Settings, Targets, target_list
@@ -139,7 +140,7 @@ class Perturbation:
             except KeyboardInterrupt:
                 interrupted = True
         info = {"method": type(self).__name__, "seed": settings.seed, **watch.info}
-        inputs = summarize(arms[0].values())
+        inputs = summarize(own_texels(renderer, arms[0].values()))
         return ArmMeasurements(
             torch.stack(rows), values, image, noise, inputs, metrics, budget, interrupted, info
         )

@@ -14,7 +14,7 @@ from ..errors import INPUT_NAMES, SceneCaptumError, near_misses
 from ..estimation import Stream, derived_seeds
 from ..protocols import Capabilities, Renderer
 from ..scene import reflect
-from ._baselines import is_emitted_power, table_of
+from ._baselines import is_emitted_power, own_texels, table_of
 
 Tensors = Mapping[str, torch.Tensor]
 
@@ -29,7 +29,8 @@ def extents(renderer: Renderer, values: Tensors) -> dict[str, torch.Tensor]:
     ranges = _ranges(renderer)
     if ranges is None:
         return {}
-    return {name: _extent(value, *_range(ranges, name)) for name, value in _not_off(renderer, values).items()}
+    shown = own_texels(renderer, _not_off(renderer, values))
+    return {name: _extent(value, *_range(ranges, name)) for name, value in shown.items()}
 
 
 def unit_ranges(renderer: Renderer, values: Tensors) -> list[str]:

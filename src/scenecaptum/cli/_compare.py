@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from ..attr import SceneAttribution, VanillaSceneGradient, summarize
+from ..attr import SceneAttribution, VanillaSceneGradient, own_texels, summarize
 from ..designs import read_design
 from ..errors import SceneCaptumError
 from ..estimation import Metric, TargetedMetric, at_values, difference_by_definition
@@ -206,7 +206,7 @@ def _attributed_at(
     beside = {name: value for name, value in values.items() if name not in inputs}
     result = dataclasses.replace(
         with_settings(result, renderer, options),
-        parameter_values={**result.parameter_values, **summarize(beside)},
+        parameter_values={**result.parameter_values, **summarize(own_texels(renderer, beside))},
         labels={**result.labels, **{name: renderer.parameters[name].label for name in beside}},
     )
     return Designed(result, renderer, metric)

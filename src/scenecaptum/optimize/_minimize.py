@@ -11,7 +11,7 @@ from functools import cached_property
 import torch
 from tqdm import tqdm
 
-from ..attr import Ranked, SceneAttribution, VanillaSceneGradient, range_lengths, summarize
+from ..attr import Ranked, SceneAttribution, VanillaSceneGradient, own_texels, range_lengths, summarize
 from ..errors import SceneCaptumError, whole_number
 from ..estimation import (
     DEFAULT_REPLICATES,
@@ -267,7 +267,10 @@ class Search:
         initial = {
             name: self._values[name] for name in names if not torch.equal(self._values[name], values[name])
         }
-        before, after = summarize(initial), summarize({name: values[name] for name in initial})
+        before, after = (
+            summarize(own_texels(self._renderer, one))
+            for one in (initial, {name: values[name] for name in initial})
+        )
         lengths, lights = range_lengths(self._renderer, initial), lamps(self._renderer)
         ranges = Capabilities(self._renderer).ranges or Capabilities(self._renderer).bounds or {}
         labels = self._ranked.labels

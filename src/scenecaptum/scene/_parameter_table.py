@@ -133,6 +133,11 @@ class Parameter:
         return len(self.shape) in (2, 3) and self.is_of_surface and not self.name.endswith(".to_uv")
 
     @property
+    def repeats_columns(self) -> bool:
+        """Whether its first and last column are copies of those at the other side, as Mitsuba stores sky maps."""
+        return self.plugin == "EnvironmentMapEmitter" and len(self.shape) == 3
+
+    @property
     def why_left_out(self) -> str | None:
         """Why kinds and globs leave it out although a user may expect it; None for all others."""
         return self.problem if self.problem == IN_BYTES else self.fault
