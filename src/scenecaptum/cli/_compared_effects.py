@@ -175,8 +175,8 @@ def own_ranges(before: SceneAttribution, after: SceneAttribution) -> list[str]:
         several = ("their effects, from off to their values, are", "their effects if they are switched on")
         here, alone = one if len(off) == 1 else several
         sentences.append(
-            f"{_named(before, off)} {_is(off)} off in both, so in the comparison {here} 0. Each result's own table has "
-            f"{alone}."
+            f"{_named(before, off)} {_is(off)} off in both, so in the comparison {here} 0. Each result's own "
+            f"table has {alone}."
         )
     return sentences
 
