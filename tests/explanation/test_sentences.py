@@ -442,6 +442,17 @@ def test_an_effect_whose_error_is_unreliable_is_not_called_clear_in_sign():
     assert trusted == "how the others rank; clear in sign: cloth (−28 ± 9)"
 
 
+@pytest.mark.parametrize("light", ["pane", "cloth"])
+def test_a_light_that_is_named_has_the_note_of_its_effect_once(light):
+    """Whether its effect is stated, or only its sign."""
+    inputs = {"pane": (110.0, 20.0), "ground": (54.0, 20.0), "cloth": (-28.0, 9.0), "wall": (5.0, 8.0)}
+    found = with_errors(inputs)
+    lit = dataclasses.replace(found, info={**found.info, "lights_on": [light]})
+    note = "effects of lights are to first order"
+    assert str(Explanation(found)).count(note) == 0
+    assert str(Explanation(lit)).count(note) == 1
+
+
 def test_the_effect_of_a_pose_is_above_the_noise_and_has_no_sign():
     """It is the largest in any direction."""
     inputs = {"pane": (110.0, 20.0), "table.pose.rotation": (54.0, 20.0), "cloth": (-28.0, 9.0)}

@@ -225,7 +225,10 @@ class EffectSentences:
         has_sign = self.attribution.kind.has_sign and not any(pose_component(row.name) for row in clear_rows)
         clear = "clear in sign" if has_sign else "above the noise"
         more = f" and {pluralize(len(seen) - MOST_NAMED, 'other')}" if len(seen) > MOST_NAMED else ""
-        return [f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"]
+        line = f"how the others rank; {clear}: {', '.join(seen[:MOST_NAMED])}{more}"
+        # Where the effect of a light is stated, the legend has the note.
+        is_noted = light_notes(self.attribution, self._clear_and_unclear[0][: self.count])
+        return [line, *([] if is_noted else light_notes(self.attribution, clear_rows[:MOST_NAMED]))]
 
     def _unranked_lines(self, unclear: Sequence[RankedParameter]) -> list[str]:
         """Say that no effect stands out among all of them, and which changes are clear, as rendered."""
