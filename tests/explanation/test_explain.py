@@ -422,7 +422,7 @@ def test_a_source_that_is_smaller_than_a_pixel_is_named_after_its_lamp(mi):
     metric = TargetedMetric(metrics.UnifiedGlareRating(renderer.camera), None)
     images = torch.stack([renderer(seed=shifted(seed), spp=256) for seed in range(4)])
     assert "bulb" not in {source.name for source in find_sources(metric, images, renderer.surfaces)}
-    sources = find_sources(metric, images, renderer.surfaces, renderer.small_lamps)
+    sources = find_sources(metric, images, renderer.surfaces, renderer.small_lamps())
     assert sources[0].name == "bulb"
     assert sources[0].share > 0.9
 
@@ -431,7 +431,7 @@ def test_the_caution_of_a_small_lamp_says_how_much_a_finer_picture_has_more(mi):
     def rated(width: int, spp: int) -> tuple[float, list[str]]:
         renderer = bulb_before_a_wall(mi, width, 0.1, spp)
         metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
-        return metric.hard(image).item(), small_lamp_notes(metric, image, renderer.small_lamps)
+        return metric.hard(image).item(), small_lamp_notes(metric, image, renderer.small_lamps())
 
     (coarse, (note,)), (fine, none) = rated(8, 64), rated(512, 4)
     assert none == []

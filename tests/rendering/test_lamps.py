@@ -45,7 +45,7 @@ def bulbs(mi: Any) -> dict[str, Any]:
 @pytest.mark.parametrize("sensor", [0, "fisheye"])
 def test_small_lamps_are_those_that_the_camera_sees(bulbs: dict[str, Any], sensor: int | str) -> None:
     renderer = SceneRenderer(bulbs, "reflectance", sensor=sensor, resolution=(8, 8), spp=1)
-    found = renderer.small_lamps
+    found = renderer.small_lamps()
     beside = {"beside_the_picture"} if sensor == "fisheye" else set()  # a hemisphere shows it
     assert {*found} - {"large"} == {"small", "tiny", "behind_a_pane"} | beside
     for name, radiance, radius in (("small", 30.0, 0.1), ("tiny", 60.0, 0.001)):
@@ -59,4 +59,29 @@ def test_small_lamps_are_those_that_the_camera_sees(bulbs: dict[str, Any], senso
 
 def test_lamps_are_not_small_in_a_large_picture(bulbs: dict[str, Any]) -> None:
     renderer = SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1)
-    assert {*renderer.small_lamps} == {"tiny", "behind_a_pane"}
+    assert {*renderer.small_lamps()} == {"tiny", "behind_a_pane"}
+
+
+def test_small_lamps_are_as_the_values_have_them(bulbs: dict[str, Any]) -> None:
+    inputs = ["small.*", "tiny.*", "camera.pose.*"]
+    renderer = SceneRenderer(bulbs, inputs, resolution=(8, 8), spp=1)
+    values = dict(renderer.inputs)
+    as_loaded = renderer.small_lamps(values)
+    radiance = next(name for name in values if name.startswith("small") and name.endswith("radiance.value"))
+    dimmed = renderer.small_lamps({**values, radiance: 0.1 * values[radiance]})
+    assert dimmed["small"].radiance.tolist() == pytest.approx([3.0] * 3)
+    off = renderer.small_lamps({radiance: torch.zeros_like(values[radiance])})
+    assert off["small"].radiance.tolist() == [0] * 3
+    up = torch.tensor([0.0, 0.58, 0.0])  # the size of a pixel at the lamps
+    moved = renderer.small_lamps({"tiny.pose.translation": up})
+    row, column = as_loaded["tiny"].pixel
+    assert moved["tiny"].pixel == (row - 1, column)
+    gone = renderer.small_lamps({"tiny.pose.translation": 10 * up})
+    assert {*as_loaded} - {*gone} == {"tiny"}
+    from_above = renderer.small_lamps({"camera.pose.translation": up})
+    assert from_above["tiny"].pixel == (row + 1, column)
+    again = renderer.small_lamps()
+    assert {name: lamp.pixel for name, lamp in again.items()} == {
+        n: lamp.pixel for n, lamp in as_loaded.items()
+    }
+    assert again["small"].radiance.tolist() == pytest.approx([30.0] * 3)

@@ -20,6 +20,7 @@ from ..explanation import (
     photometric_premises,
     rated_image,
     states_definition,
+    values_of,
 )
 from ..metrics import NO_SOURCE, GlareRating
 from ..protocols import Scale
@@ -302,7 +303,8 @@ def _explained(result: Finished, renderer: SceneRenderer, more: Sequence[str] = 
     if definition is not None:
         value, error = definition.value, definition.error
     is_doubted = bool(attribution.untrusted_errors())
-    notes = photometric_premises(metric, image, value, error, shown, renderer, is_doubted=is_doubted)
+    values = values_of(attribution, renderer)
+    notes = photometric_premises(metric, image, value, error, shown, renderer, values, is_doubted=is_doubted)
     if isinstance(metric, GlareRating) and states_definition(TargetedMetric(metric), shown):
         notes += (RELAXED,)
         attribution = _called_relaxed(attribution)

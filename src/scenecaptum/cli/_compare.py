@@ -24,6 +24,7 @@ from ..explanation import (
     photometric_premises,
     rated_image,
     states_definition,
+    values_of,
 )
 from ..protocols import ResultKind
 from ..rendering import SceneRenderer
@@ -243,7 +244,10 @@ def _side(
     if definition is not None:
         value, error = definition.value, definition.error
     is_doubted = bool(attribution.untrusted_errors())
-    of_picture = photometric_premises(metric, of_value, value, error, shown, renderer, is_doubted=is_doubted)
+    values = values_of(attribution, renderer)
+    of_picture = photometric_premises(
+        metric, of_value, value, error, shown, renderer, values, is_doubted=is_doubted
+    )
     return Side(
         plan_of(of_value, renderer, metric, attribution.info),
         definition,

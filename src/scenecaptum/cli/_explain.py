@@ -136,7 +136,9 @@ def _write_report(
         stated = explanation.definition is not None
         shown = _with_value(reached, goal.after, TargetedMetric(metric, options.target), stated=stated)
         after = goal.after
-        of_picture = photometric_premises(metric, after.image, after.value, after.error, renderer=renderer)
+        of_picture = photometric_premises(
+            metric, after.image, after.value, after.error, renderer=renderer, values=goal.values
+        )
         notes = of_picture + premises(metric, options) + grid_premises(renderer) + missing
         results.append(dataclasses.replace(shown, premises=notes))
         titles = ["as it is", f"below {goal.below:g}"]

@@ -10,6 +10,7 @@ from ._explain import AT_THE_GOAL as AT_THE_GOAL
 from ._explain import explain as explain
 from ._explain import photometric_premises as photometric_premises
 from ._explain import rated_image as rated_image
+from ._explain import values_of as values_of
 from ._premises import depth_premises as depth_premises
 from ._premises import grid_premises as grid_premises
 from ._premises import grid_size as grid_size

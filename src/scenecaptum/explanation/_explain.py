@@ -165,10 +165,12 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         of_value, other = picture, attribution.image
     shown = scenes.metric.transform(of_value)
     is_doubted = bool(attribution.untrusted_errors())
-    premises = photometric_premises(metric, of_value, value, error, shown, renderer, is_doubted=is_doubted)
+    premises = photometric_premises(
+        metric, of_value, value, error, shown, renderer, values, is_doubted=is_doubted
+    )
     lamps = {}
     if isinstance(metric, GlareRating):
-        lamps = renderer.small_lamps if isinstance(renderer, SceneRenderer) else {}
+        lamps = renderer.small_lamps(values) if isinstance(renderer, SceneRenderer) else {}
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
             premises += _said_of(goal, scenes, metric, shown)
@@ -217,7 +219,7 @@ def _said_of(
     if metric.threshold_factor is None and any(is_near_threshold(metric, one) for one in (before, after)):
         said.append(relative_sentence(metric, after, Format.of(goal.after.value, goal.after.error)))
     if isinstance(scenes.renderer, SceneRenderer):
-        said += cautions_among(small_lamp_notes(metric, after, scenes.renderer.small_lamps))
+        said += cautions_among(small_lamp_notes(metric, after, scenes.renderer.small_lamps(goal.values)))
     whose = AT_THE_GOAL if goal.reached else "of the design that was tried"
     return tuple(f"{whose}: {text}" for text in said)
 
@@ -228,14 +230,17 @@ def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tens
     assert image is not None, "every attribution of a SceneRenderer has its image"
     if not (attribution.info.get("picture") or {}).get("denoised"):
         return image
+    return denoised(image, guides_of(renderer, values_of(attribution, renderer)))
+
+
+def values_of(attribution: SceneAttribution, renderer: Renderer) -> dict[str, torch.Tensor]:
+    """Return the values of a result but those of textures, of which it keeps the means; no pose is one."""
     own = Capabilities(renderer).inputs or {}
-    # Textures are kept as their means, but no pose is one.
-    values = {
+    return {
         name: value.reshape(own[name].shape)
         for name, value in attribution.parameter_values.items()
         if name in own and own[name].numel() == value.numel()
     }
-    return denoised(image, guides_of(renderer, values))
 
 
 def photometric_premises(
@@ -245,14 +250,15 @@ def photometric_premises(
     error: float | None,
     shown: torch.Tensor | None = None,
     renderer: Renderer | None = None,
+    values: Mapping[str, torch.Tensor] | None = None,
     *,
     is_doubted: bool = False,
 ) -> tuple[str, ...]:
     """Return what a photometric metric of a picture takes for granted of the scene.
 
     ``value`` and ``error`` are those that it stands beside. ``shown`` is the picture that is rated, if that is
-    denoised; ``renderer`` knows the lamps of the scene. ``is_doubted`` says that error bars of effects are
-    unreliable: few samples find some of the light, which points may lack in all replicates.
+    denoised; ``renderer`` knows the lamps of the scene, which are as in ``values``. ``is_doubted`` says that error
+    bars of effects are unreliable: few samples find some of the light, which points may lack in all replicates.
     """
     premises = []
     efficacy = getattr(metric, "efficacy", 1)
@@ -280,7 +286,7 @@ def photometric_premises(
     rated = image if shown is None else shown
     too_small = []
     if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer):
-        too_small = small_lamp_notes(metric, rated, renderer.small_lamps)
+        too_small = small_lamp_notes(metric, rated, renderer.small_lamps(values))
     premises += threshold_notes(metric, rated, Format.of(value, error), explained=bool(too_small))
     if isinstance(metric, VerticalIlluminance) and not metric.camera.sees_hemisphere:
         premises.append(

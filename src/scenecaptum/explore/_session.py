@@ -321,6 +321,7 @@ class Exploration:
                         error,
                         metric.transform(measured.image),
                         self.designs.renderer,
+                        self.designs.values(measured.design),
                     ),
                 ],
             }

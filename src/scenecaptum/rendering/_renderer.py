@@ -661,23 +661,25 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         with exclusively(self._variant):
             return has_point_lamps(self._graph.scene)
 
-    @property
-    def small_lamps(self) -> dict[str, SmallLamp]:
-        """The lamps that the camera sees, through panes too, but that cover less than half of any pixel.
+    def small_lamps(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, SmallLamp]:
+        """Return the lamps that the camera sees, through panes too, but that cover less than half of any pixel.
 
-        By the names of their objects; none where ``surfaces`` is None.
+        By the names of their objects; none where ``surfaces`` is None. Objects, camera and lights are as in
+        ``values``.
         """
         from ._lamps import visible_lamps
 
-        if (surfaces := self.see_through(())) is None:
+        if (surfaces := self.see_through((), values)) is None:
             return {}
-        with exclusively(self._variant):
+        moved = {name: torch.tensor(value) for name, value in self._moved(values)}
+        live = self._views[0].live
+        with live.with_values(moved | self._lit(values or {})):
             lamps = {
                 name: shape
                 for name, shape, _ in self._graph.shapes()
                 if shape.is_emitter() and surfaces.mask(name).max() < FILLED
             }
-            return visible_lamps(self._graph.scene, self._sensors[0], self.camera, lamps)
+            return visible_lamps(self._graph.scene, live.sensor, camera_of(live.sensor), lamps)
 
     @property
     def has_grid(self) -> bool:

@@ -46,11 +46,13 @@ def described(
     info: Mapping[str, Any],
     renderer: SceneRenderer,
     *,
+    values: Mapping[str, torch.Tensor] | None,
     made_up: bool,
 ) -> dict[str, Any]:
     """Return measure, verdict, notes and cautions of a cell; ``info`` has what is known of the value itself.
 
-    ``shown`` is the picture that is rated, if the image is denoised for that; ``made_up`` says that the weather of
+    ``shown`` is the picture that is rated, if the image is denoised for that; ``values`` are those of the design;
+    ``made_up`` says that the weather of
     a metric of daylight is.
 
     A relaxed metric is called so, a glare rating only with its main source near the threshold. It has no class:
@@ -58,7 +60,7 @@ def described(
     own, too, for tables.
     """
     measure, verdict = info["measure"], info["verdict"] or ""
-    notes = photometric_premises(metric.metric, image, value, error, shown, renderer)
+    notes = photometric_premises(metric.metric, image, value, error, shown, renderer, values)
     if states_definition(metric, shown):
         measure, verdict = {**measure, "name": f"relaxed {measure['name']}"}, ""
         notes = (RELAXED if isinstance(metric.metric, GlareRating) else RELAXED_DAYLIGHT, *notes)

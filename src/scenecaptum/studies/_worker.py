@@ -76,7 +76,9 @@ def _compute(recipe: Recipe) -> tuple[dict[str, Any], SceneAttribution | None]:
     shown = rated_image(attribution, renderer)
     value, error = attribution.metric_value, attribution.metric_standard_error
     info, made_up = attribution.info, has_made_up_weather(recipe)
-    said = described(targeted, attribution.image, shown, value, error, info, renderer, made_up=made_up)
+    said = described(
+        targeted, attribution.image, shown, value, error, info, renderer, values=values, made_up=made_up
+    )
     info = {**info, "measure": said["measure"], "verdict": said["verdict"], **_grid(renderer)}
     attribution = dataclasses.replace(attribution, info=info)
     table, cautions = renderer.parameters_table(), row_cautions(attribution)
@@ -142,7 +144,9 @@ def _measure(
     info = found.metric.describe(found.value, found.image)
     shown = found.metric.transform(found.image)
     made_up = has_made_up_weather(recipe)
-    said = described(targeted, found.image, shown, found.value, found.error, info, renderer, made_up=made_up)
+    said = described(
+        targeted, found.image, shown, found.value, found.error, info, renderer, values=values, made_up=made_up
+    )
     measure = said["measure"] or {}
     return {
         "measure": measure.get("name", found.metric.name),
