@@ -51,9 +51,8 @@ def described(
 ) -> dict[str, Any]:
     """Return measure, verdict, notes and cautions of a cell; ``info`` has what is known of the value itself.
 
-    ``shown`` is the picture that is rated, if the image is denoised for that; ``values`` are those of the design;
-    ``made_up`` says that the weather of
-    a metric of daylight is.
+    ``shown`` is the picture that is rated, if the image is denoised for that. ``values`` are those of the design.
+    ``made_up`` says that the weather of a metric of daylight is.
 
     A relaxed metric is called so, a glare rating only with its main source near the threshold. It has no class:
     that of the value by the definition may be another one. The rating by the other threshold is a number of its
