@@ -164,6 +164,31 @@ def test_a_small_lamp_is_as_bright_in_the_denoised_picture_as_it_is(mi: Any) -> 
     assert errors[0] < errors[1]
 
 
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_the_emission_of_a_pixel_at_the_edge_of_a_lamp_is_that_of_the_covered_part(
+    mi: Any, rfilter: str
+) -> None:
+    """A square lamp that covers 5.15 of 16 pixels each way, and so 0.577 of the pixels at its sides."""
+    half, height = 0.2345, 2 * math.tan(math.radians(20)) * 2  # of the lamp, and of what the camera sees
+    covered = 2 * half / height * 16
+    seen = camera(mi)
+    seen["film"]["rfilter"] = {"type": rfilter}
+    lamp = {
+        "type": "rectangle",
+        "to_world": mi.ScalarTransform4f().scale(half),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 40.0}},
+    }
+    emission = SceneRenderer(
+        {"type": "scene", "camera": seen, "lamp": lamp}, "emitters", spp=1
+    ).guides.emission
+    assert emission is not None
+    assert emission[..., 0].sum() == pytest.approx(40 * covered**2, rel=0.002)
+    if rfilter == "box":
+        torch.testing.assert_close(
+            emission[8, 5], torch.full((3,), 40 * (covered - 4) / 2), rtol=0, atol=40 / 256
+        )
+
+
 def test_a_lamp_that_values_switch_off_is_not_in_the_denoised_picture(mi: Any) -> None:
     renderer = lamp_before_a_wall(mi)
     dimmed = {name: 0.01 * value for name, value in renderer.inputs.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,7 +14,11 @@ import torch
 from ..denoising import Guides
 from ..scene import Moved
 from ._live_scene import LiveScene
-from ._visibility import RAYS, batches, camera_rays, film_position, follow_specular
+from ._visibility import BATCH, RAYS, batches, camera_rays, film_position, follow_specular, rays_from
+
+# Rays in a pixel where a lamp ends. The rays of other pixels resolve a sixteenth of one: the light that they miss
+# is noise to the denoiser, and biased the derivative of a rating of glare by 1.5 %.
+EDGE_RAYS = 256
 
 
 class Shown(NamedTuple):
@@ -75,16 +79,55 @@ def trace_guides(scene: Any, sensor: Any, resolution: tuple[int, int], *, emissi
 
 def _emission(scene: Any, sensor: Any, resolution: tuple[int, int]) -> torch.Tensor:
     """Return the light of the lamps and the background that rays meet first, through the film's filter."""
+    width, height = resolution
     block = mi.ImageBlock(resolution, (0, 0), 4, rfilter=sensor.film().rfilter(), border=False)
     with dr.suspend_grad():
-        for first, count in batches(resolution):
-            ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
-            si = scene.ray_intersect_preliminary(ray, coherent=True).compute_surface_interaction(ray)
-            light = weight * si.emitter(scene).eval(si)
-            block.put(film_position(resolution, pixel, point), [*light, mi.Float(1.0)])
-            dr.eval(block.tensor())
+        means = torch.cat([_mean_light(scene, sensor, resolution, *pixels) for pixels in batches(resolution)])
+        edge = _edges(means.reshape(height, width, 3)).flatten()
+        for pixel, point in _rays_in(~edge, RAYS):
+            light = dr.gather(mi.Color3f, mi.Float(means.flatten().numpy()), pixel)
+            _put(block, film_position(resolution, pixel, point), light, RAYS)
+        for pixel, point in _rays_in(edge, EDGE_RAYS):
+            position = film_position(resolution, pixel, point, EDGE_RAYS)
+            light = _light(scene, *rays_from(sensor, resolution, position))
+            _put(block, position, light, EDGE_RAYS)
         filtered: torch.Tensor = block.tensor().torch().cpu()
     return filtered[..., :3] / filtered[..., 3:]
+
+
+def _rays_in(chosen: torch.Tensor, rays: int) -> Iterator[tuple[Any, Any]]:
+    """Yield the pixels of the rays of chosen pixels and their indices in these, ``BATCH`` rays at once."""
+    for pixels in chosen.nonzero().flatten().split(BATCH // rays):
+        if len(pixels):  # of an empty tensor, one part is empty
+            index = dr.arange(mi.UInt32, len(pixels) * rays)
+            yield dr.repeat(mi.UInt32(pixels.numpy()), rays), index % rays
+
+
+def _put(block: Any, position: Any, light: Any, rays: int) -> None:
+    """Add rays of pixels to a block; all pixels have the same weight, for filters wider than a pixel."""
+    block.put(position, [*(light / rays), mi.Float(1 / rays)])
+    dr.eval(block.tensor())
+
+
+def _mean_light(scene: Any, sensor: Any, resolution: tuple[int, int], first: int, count: int) -> torch.Tensor:
+    """Return the mean light that the rays of some pixels meet first, ``(count, 3)``."""
+    ray, weight, _, _ = camera_rays(sensor, resolution, first, count)
+    light = _light(scene, ray, weight)
+    dr.eval(light)  # in one kernel; each sum would have one of its own
+    means = [dr.block_reduce(dr.ReduceOp.Add, mi.Float(channel), RAYS) / RAYS for channel in light]
+    return torch.from_numpy(np.stack([np.broadcast_to(mean.numpy(), count) for mean in means], -1))
+
+
+def _light(scene: Any, ray: Any, weight: Any) -> Any:
+    si = scene.ray_intersect_preliminary(ray, coherent=True).compute_surface_interaction(ray)
+    return weight * si.emitter(scene).eval(si)
+
+
+def _edges(light: torch.Tensor) -> torch.Tensor:
+    """Return which pixels of an image ``(H, W, 3)`` differ by a tenth from one beside them, ``(H, W)``."""
+    brightest = light.amax(-1)[None]
+    pooled = [torch.nn.functional.max_pool2d(sign * brightest, 3, 1, 1)[0] for sign in (1, -1)]
+    return pooled[0] > -1.1 * pooled[1]
 
 
 def _guide_rays(

@@ -126,19 +126,28 @@ def camera_rays(
     """Return ``RAYS`` rays through each of ``count`` pixels, their weights, pixels and indices in the pixel."""
     index = dr.arange(mi.UInt32, count * RAYS)
     pixel, point = dr.opaque(mi.UInt32, first) + index // RAYS, index % RAYS
-    position = film_position(resolution, pixel, point) / mi.Point2f(resolution)
+    ray, weight = rays_from(sensor, resolution, film_position(resolution, pixel, point))
+    return ray, weight, pixel, point
+
+
+def rays_from(sensor: Any, resolution: tuple[int, int], position: Any) -> tuple[Any, Any]:
+    """Return the rays through positions on the film, in pixels, and their weights."""
+    sample = position / mi.Point2f(resolution)
     # With differentials, without which an irradiance meter has no rays.
-    ray, weight = sensor.sample_ray_differential(sensor.shutter_open(), 0.5, position, mi.Point2f(0.5))
-    return one_for_each(ray, position), weight, pixel, point
+    ray, weight = sensor.sample_ray_differential(sensor.shutter_open(), 0.5, sample, mi.Point2f(0.5))
+    return one_for_each(ray, sample), weight
 
 
-def film_position(resolution: tuple[int, int], pixel: Any, point: Any) -> Any:
-    """Return where on the film, in pixels, rays begin that have these indices in these pixels."""
+def film_position(resolution: tuple[int, int], pixel: Any, point: Any, rays: int = RAYS) -> Any:
+    """Return where on the film, in pixels, rays begin that have these indices in these pixels.
+
+    A pixel has ``rays``, a power of two.
+    """
     # The point's index in reversed bit order, as a fraction.
-    reversed_bits = ((point & 1) << 3) | ((point & 2) << 1) | ((point & 4) >> 1) | ((point & 8) >> 3)
+    reversed_bits = dr.brev(point) >> (33 - rays.bit_length())
     return mi.Point2f(
-        mi.Float(pixel % resolution[0]) + (mi.Float(point) + 0.5) / RAYS,
-        mi.Float(pixel // resolution[0]) + (mi.Float(reversed_bits) + 0.5) / RAYS,
+        mi.Float(pixel % resolution[0]) + (mi.Float(point) + 0.5) / rays,
+        mi.Float(pixel // resolution[0]) + (mi.Float(reversed_bits) + 0.5) / rays,
     )
 
 
