@@ -246,7 +246,7 @@ class SceneAttribution(AttributionData):
             The file to write, atomically; or a binary file that is open for writing.
         exact_texels
             Whether to store every texel exactly, for further computations with the gradients of single texels or a
-            ``heatmap`` with another surface map. This may take 10 to 30 times the space.
+            ``heatmap`` with another surface map. This takes 5 to 9 times the space in rooms with large textures.
 
         Raises
         ------
