@@ -1,9 +1,5 @@
 """Measure figures that the guides state in sentences, without a table of their own.
 
-``samples`` (concepts, speed and accuracy): the time of a sample of the metric's image, relative to that of a
-sample of the backward passes, in the office and the living room at 160×90. Each is the slope between two numbers
-of samples, from the medians of runs that take turns.
-
 ``files`` (seeing): the size of saved results of rooms with large textures, at 160×90, with means over blocks of
 texels that no pixel shows, and relative to that with every texel exact.
 
@@ -14,7 +10,7 @@ texels that no pixel shows, and relative to that with every texel exact.
 random pictures, and how many at none, with random weights behind the learnt and behind the reset statistics of
 batch normalization: the layers with the least and the most, as means of ten draws of the weights.
 
-    python benchmarks/sentences.py samples|files|randomization|units
+    python benchmarks/sentences.py files|randomization|units
 """
 
 from __future__ import annotations
@@ -22,10 +18,8 @@ from __future__ import annotations
 import argparse
 import copy
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
-from statistics import median
 
 import torch
 from _script import scene_of
@@ -33,9 +27,6 @@ from _script import scene_of
 from scenecaptum import SceneRenderer, VanillaSceneGradient, metrics, validation
 
 SIZE, DEPTH = (160, 90), 6
-ROOMS = ("office", "living-room")
-FEW, MANY = 64, 512  # samples per pixel
-TURNS = 5
 TEXTURED = ("living-room", "dining-room", "kitchen")
 DRAWS, PICTURES, LAYERS = 10, 8, 3
 
@@ -47,23 +38,6 @@ def main() -> None:
     )
     parser.add_argument("section", choices=SECTIONS)
     SECTIONS[parser.parse_args().section]()
-
-
-def samples() -> None:
-    """Print the time of a sample of the image, relative to that of a backward pass."""
-    for room in ROOMS:
-        renderer = SceneRenderer(scene_of(room), ["reflectance"], resolution=SIZE, max_depth=DEPTH)
-        gradient = VanillaSceneGradient(renderer, metrics.UnifiedGlareRating(renderer.camera))
-        # The image has at least the samples of the backward passes.
-        settings = {"few": (FEW, MANY), "image": (FEW, 2 * MANY - FEW), "backward": (MANY, MANY)}
-        seconds: dict[str, list[float]] = {name: [] for name in settings}
-        for turn in range(TURNS + 1):
-            for name, (spp, picture_spp) in settings.items():
-                start = time.perf_counter()
-                gradient.attribute(seed=turn, spp=spp, picture_spp=picture_spp)
-                seconds[name].append(time.perf_counter() - start)
-        few, image, backward = (median(values[1:]) for values in seconds.values())  # the first run compiles
-        print(f"{room}: {(image - few) / (backward - few):.2f}", flush=True)
 
 
 def files() -> None:
@@ -129,7 +103,6 @@ def shares_of_channels(seed: int, reset: Callable[[torch.nn.BatchNorm2d], None])
 
 
 SECTIONS: dict[str, Callable[[], None]] = {
-    "samples": samples,
     "files": files,
     "randomization": randomization,
     "units": units,
