@@ -219,6 +219,39 @@ def test_an_impossible_index_raises_by_its_exact_name_only(mi):
             SceneRenderer(room(mi, knob=knob), inputs=inputs)
 
 
+@pytest.mark.parametrize(
+    ("bsdf", "name", "said"),
+    [
+        (
+            {"type": "dielectric", "int_ior": 0.0},
+            "knob.bsdf.eta",
+            "it is 0, outside the physical range (0, ∞)",
+        ),
+        ({"type": "roughconductor", "alpha": 1.7}, "knob.bsdf.alpha.value", "it is 1.7, outside"),
+        ({"type": "roughconductor", "alpha": -0.3}, "knob.bsdf.alpha.value", "it is -0.3, outside"),
+        ({"type": "principled", "roughness": -0.1}, "knob.bsdf.roughness.value", "it is -0.1, outside"),
+    ],
+)
+def test_an_impossible_index_or_roughness_has_a_caution(mi, bsdf, name, said):
+    renderer = SceneRenderer(room(mi, knob={"type": "sphere", "bsdf": bsdf}), inputs="materials")
+    assert name not in renderer.inputs
+    assert [where for where, _ in renderer.plan.cautions] == [name]
+    assert renderer.parameters_table()[name].problem.startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "name"),
+    [
+        ({"type": "conductor"}, "knob.bsdf.eta.value"),  # a perfect mirror
+        ({"type": "principled", "roughness": 0.0}, "knob.bsdf.roughness.value"),
+        ({"type": "roughconductor", "alpha": 0.0}, "knob.bsdf.alpha.value"),
+    ],
+)
+def test_a_convention_of_mitsuba_is_no_fault(mi, bsdf, name):
+    renderer = SceneRenderer(room(mi, knob={"type": "sphere", "bsdf": bsdf}), inputs=["materials", "knob.*"])
+    assert renderer.parameters_table()[name].fault is None
+
+
 def test_results_carry_the_caution(radiator):
     for method in (VanillaSceneGradient, FeatureAblationScene):
         found = method(radiator, mean).attribute(seed=0, replicates=2)

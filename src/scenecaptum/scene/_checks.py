@@ -11,9 +11,10 @@ from ..errors import SceneCaptumError
 from ..finite import describe_location
 from ._bounds import Bounds
 
-# Kinds whose values are physically impossible outside their bounds. For other kinds Mitsuba has conventions of its
-# own (a principled roughness of 0).
-_PHYSICAL_KINDS = ("emitters", "media", "reflectance", "opacity", "ior")
+# Kinds whose values are physically impossible outside their bounds.
+_PHYSICAL_KINDS = ("emitters", "media", "reflectance", "opacity", "ior", "roughness")
+# Kinds for which Mitsuba has a convention at an open bound: a roughness of 0 is smooth.
+_CLOSED_KINDS = ("roughness",)
 
 # Tolerance above the upper bound for rounding in file formats and in sums that should be 1.
 _TOLERANCE = 1e-3
@@ -36,10 +37,16 @@ def find_fault(value: torch.Tensor, kind: str, bounds: Bounds) -> str | None:
     low, high = value.aminmax() if value.numel() else (value.new_zeros(()),) * 2
     if not (low.isfinite() and high.isfinite()):
         return _describe_fault(value, ~torch.isfinite(value), "which is not finite")
-    if kind in _PHYSICAL_KINDS and (low < bounds.low or high > bounds.high + _TOLERANCE):
-        outside = (value < bounds.low) | (value > bounds.high + _TOLERANCE)
-        return _describe_fault(value, outside, f"outside the physical range {bounds} of its kind ({kind})")
+    if kind in _PHYSICAL_KINDS and (_is_outside(low, kind, bounds) or _is_outside(high, kind, bounds)):
+        bad = _is_outside(value, kind, bounds)
+        return _describe_fault(value, bad, f"outside the physical range {bounds} of its kind ({kind})")
     return None
+
+
+def _is_outside(value: torch.Tensor, kind: str, bounds: Bounds) -> torch.Tensor:
+    is_open = bounds.open_low and kind not in _CLOSED_KINDS
+    below = value <= bounds.low if is_open else value < bounds.low
+    return below | (value > bounds.high + _TOLERANCE)
 
 
 def _describe_fault(value: torch.Tensor, bad: torch.Tensor, reason: str) -> str:

@@ -111,7 +111,7 @@ def _describe(
     )
     shapes = graph.shapes_using(node) if isinstance(user, mi.BSDF) else []
     problem = _problem(lights.get(owner, owner), kind, role, user, shape, value, tracked)
-    fault = None if problem else find_fault(_to_tensor(value, stored_shape), kind, bounds)
+    fault = None if problem else find_fault(_as_in_file(user, _to_tensor(value, stored_shape)), kind, bounds)
     return Parameter(
         name=name,
         label=label,
@@ -315,6 +315,12 @@ def _to_tensor(value: Any, shape: tuple[int, ...]) -> torch.Tensor:
     value = dr.detach(value)
     flat: torch.Tensor = (value.array if dr.is_tensor_v(value) else dr.ravel(value)).torch()
     return flat.cpu().reshape(shape)
+
+
+def _as_in_file(user: Any, value: torch.Tensor) -> torch.Tensor:
+    """Return a value without the columns that Mitsuba adds to a sky map, so that places are those of its file."""
+    is_sky_map = user.class_name() == "EnvironmentMapEmitter" and value.ndim == 3
+    return value[:, 1:-1] if is_sky_map else value
 
 
 def _shape(value: Any, mesh_size: int | None) -> tuple[int, ...]:
