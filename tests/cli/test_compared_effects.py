@@ -292,6 +292,17 @@ def test_values_that_move_in_opposite_directions_have_a_caution(
     assert unclear.opposite() == ""
 
 
+@pytest.mark.parametrize(("amounts", "is_lacking"), [((2.8, 2.4), True), ((2.8, 2.8), False), ((2.8,), True)])
+def test_ratings_that_lack_different_amounts_have_a_caution_on_the_change(
+    amounts: tuple[float, ...], is_lacking: bool
+) -> None:
+    before = results.make()
+    notes = [(f"pixels at the edges of lamp …: the rating is too low, by about {one}",) for one in amounts]
+    sides = [_compared.Side(premises=one) for one in (*notes, ())[:2]]
+    found = _compared.Compared(before, before, ["A", "B"], -0.4, 0.05, sides)
+    assert any("the change lacks the difference" in note for note in found.notes()) == is_lacking
+
+
 @pytest.mark.parametrize(("exact", "is_far"), [(-3.3, True), (0.0, True), (-8.1, False)])
 def test_a_relaxed_change_far_from_the_exact_one_is_no_guide(exact: float, is_far: bool) -> None:
     """The brightest pixel is in the transition of the threshold, and fades with all of the rating."""

@@ -48,9 +48,11 @@ def test_files_have_the_cautions_on_the_value(tmp_path: Path, capsys: pytest.Cap
     fisheye = [*TINY, *QUIET, "--sensor", "fisheye", "--metric", "ugr"]
     files = ["--format", "csv", "--format", "json", "--out", str(tmp_path)]
     assert cli.main(["attribute", *fisheye, *files]) == 0
-    assert "caution: light covers less than half" in " ".join(capsys.readouterr().out.split())
+    assert "caution: pixels at the edges of light average its light" in " ".join(
+        capsys.readouterr().out.split()
+    )
     said = json.loads((tmp_path / FORMATS["json"].file).read_text())["metric"]["caution"]
-    assert said.startswith("light covers less than half of any pixel")
+    assert said.startswith("pixels at the edges of light average its light")
     with (tmp_path / FORMATS["csv"].file).open(newline="") as file:
         assert [row["metric_caution"] for row in csv.DictReader(file)] == [said]
 

@@ -18,7 +18,7 @@ from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
 from scenecaptum.explanation._sources import find_sources
-from scenecaptum.explanation._threshold import small_lamp_notes
+from scenecaptum.explanation._threshold import lamp_edge_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import format_with_error, plot_bars, rounded, table_text
@@ -400,19 +400,14 @@ def bulb_before_a_wall(mi, width: int, radius: float, spp: int = 64, radiance: f
     return SceneRenderer(scene, "emitters", resolution=(width, width), spp=spp, max_depth=2)
 
 
-@pytest.mark.parametrize(
-    ("width", "radius", "is_small"), [(8, 0.1, True), (8, 0.003, True), (64, 0.1, False)]
-)
-def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: float, is_small: bool):
-    """Its pixel is averaged with the dark around it: at 8 pixels it is no glare source, at 64 it is one.
-
-    No ray of a pixel's map meets the smallest.
-    """
+@pytest.mark.parametrize(("width", "radius"), [(8, 0.1), (8, 0.003)])
+def test_a_lamp_smaller_than_half_a_pixel_is_cautioned(mi, width: int, radius: float):
+    """Its pixel is averaged with the dark around it: no glare source, and no ray of its map meets the smaller."""
     renderer = bulb_before_a_wall(mi, width, radius)
     metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
     notes = photometric_premises(metric, image, metric(image).item(), 0.1, renderer=renderer)
-    assert sum("bulb covers less than half of any pixel: its light" in note for note in notes) == is_small
-    assert any("nothing counts as a glare source" in note for note in notes) == is_small
+    assert sum("caution: pixels at the edges of bulb average its light" in note for note in notes) == 1
+    assert any("nothing counts as a glare source" in note for note in notes)
     assert not any("check the scene's units" in note for note in notes), "its size is why"
 
 
@@ -427,17 +422,45 @@ def test_a_source_that_is_smaller_than_a_pixel_is_named_after_its_lamp(mi):
     assert sources[0].share > 0.9
 
 
-def test_the_caution_of_a_small_lamp_says_how_much_a_finer_picture_has_more(mi):
-    def rated(width: int, spp: int) -> tuple[float, list[str]]:
+def test_what_a_rating_lacks_is_what_a_finer_picture_has_more(mi):
+    """At 8 pixels the lamp covers less than half of any, at 32 and 64 most of one, at 512 it is 11 wide."""
+
+    def rated(width: int, spp: int) -> tuple[float, str]:
         renderer = bulb_before_a_wall(mi, width, 0.1, spp)
         metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
-        return metric.hard(image).item(), small_lamp_notes(metric, image, renderer.small_lamps())
+        found = lamp_edge_notes(metric, image, renderer.small_lamps(), renderer.lamp_coverage())
+        return metric.hard(image).item(), "".join(found)
 
-    (coarse, (note,)), (fine, none) = rated(8, 64), rated(512, 4)
-    assert none == []
-    by = float(re.search(r"too low, by about ([\d.]+)", note)[1])
-    # Pixels at its edge average it with the wall, and those of the coarse picture are elsewhere: 8 log10(…).
-    assert coarse + by == pytest.approx(fine, abs=8 * math.log10(1.3))
+    said = {width: rated(width, spp) for width, spp in ((8, 64), (32, 256), (64, 256), (128, 64), (512, 4))}
+    missing = {
+        width: float(found[1]) if (found := re.search(r"too low, by about ([\d.]+)", note)) else 0.0
+        for width, (_, note) in said.items()
+    }
+    whole = {width: value + missing[width] for width, (value, _) in said.items()}
+    assert whole[128] == pytest.approx(whole[512], abs=8 * math.log10(1.1))
+    for width in (8, 32, 64):
+        # Its map has 16 rays in each of the few pixels that show it, and those of a coarse picture are elsewhere.
+        assert whole[width] == pytest.approx(whole[512], abs=8 * math.log10(1.3))
+    assert said[8][1].startswith("caution: ")
+    assert said[128][1].startswith("pixels at the edges of bulb average"), "less is missing"
+    assert missing[512] == 0, "not worth a note"
+
+
+def test_only_lamps_that_lose_much_are_named():
+    metric = metrics.UnifiedGlareRating(Camera.perspective(8, 8, fov_x=60))
+    image = torch.full((8, 8, 3), 0.5)
+    covered = {"half": torch.zeros(8, 8), "whole": torch.zeros(8, 8), "dim": torch.zeros(8, 8)}
+    covered["half"][2, 3:5], covered["whole"][4, 3:5], covered["dim"][6, 3:5] = 0.5, 1.0, 0.5
+    image[2, 3:5], image[4, 3:5], image[6, 3:5] = 150.0, 150.0, 20.0
+    (note,) = lamp_edge_notes(metric, image, {}, covered)
+    assert "pixels at the edges of half average its light with what is around it" in note
+    # Two halves of a pixel of 300 are one of it, in place of two of 150.
+    image[6, 3:5] = 0.5
+    resolved = image.clone()
+    resolved[2, 3:5] = 300.0 / 2**0.5
+    missing = metric.hard(resolved).item() - metric.hard(image).item()
+    (note,) = lamp_edge_notes(metric, image, {}, covered)
+    assert float(re.search(r"by about ([\d.]+)", note)[1]) == pytest.approx(missing, rel=0.05)
 
 
 def test_small_lamps_in_one_pixel_add_up():
@@ -448,7 +471,7 @@ def test_small_lamps_in_one_pixel_add_up():
         lamps = {
             str(n): SmallLamp(torch.full((3,), 300.0), one, (3, 4)) for n, one in enumerate(solid_angles)
         }
-        return [note.split("by about ")[1] for note in small_lamp_notes(metric, image, lamps)]
+        return [note.split("by about ")[1] for note in lamp_edge_notes(metric, image, lamps, {})]
 
     assert said(1e-5, 1e-5) == said(2e-5) != said(1e-5)
 
@@ -458,7 +481,7 @@ def test_without_small_lamps_nothing_is_missing_from_a_negative_rating():
     image = torch.full((8, 8, 3), 1e-4)
     image[3, 4] = 2e-4
     assert metric.hard(image) < 0
-    assert small_lamp_notes(metric, image, {}) == []
+    assert lamp_edge_notes(metric, image, {}, {}) == []
 
 
 def test_a_noisy_uniformity_is_cautioned():

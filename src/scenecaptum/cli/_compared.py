@@ -11,6 +11,7 @@ import torch
 
 from .. import metrics
 from ..attr import Definition, Explanation, SceneAttribution, are_far_apart
+from ..explanation import TOO_LOW
 from ..report import Table, different_values
 from ..scene import pose_component, with_unit
 from ..visualization import (
@@ -50,6 +51,10 @@ RELAXED = "The effects are those of the relaxed metric, which only serves the de
 FAR_APART = (
     "The main source is so close to the threshold that both changes depend on it more than on the scene"
 )
+LACKING = (
+    "caution: both ratings are too low because of the edges of lamps, by different amounts; the change lacks the "
+    "difference"
+)
 OPPOSITE = "caution: the direction of this change depends on the threshold"
 
 
@@ -87,7 +92,10 @@ class Compared:
     def notes(self) -> list[str]:
         """Return what belongs to the change: how it was measured, that of the relaxed metric, and cautions."""
         return [
-            *filter(None, (self.measured, self.relaxed(), self.opposite(), self.different_settings())),
+            *filter(
+                None,
+                (self.measured, self.relaxed(), self.opposite(), self.lacking(), self.different_settings()),
+            ),
             *own_ranges(self.before, self.after),
             *not_compared(self.before, self.after, self.titles),
         ]
@@ -99,6 +107,14 @@ class Compared:
         changes = (self.by_definition, (self.change, self.error))
         is_clear = all(abs(change) > SIGNIFICANT * (error or 0.0) for change, error in changes)
         return OPPOSITE if is_clear and self.by_definition[0] * self.change < 0 else ""
+
+    def lacking(self) -> str:
+        """Return a caution if pixels at the edges of lamps take different amounts from the two ratings."""
+        first, second = (
+            [text for text in (*noise_notes(one), *side.premises) if TOO_LOW in text]
+            for one, side in zip((self.before, self.after), self.sides, strict=True)
+        )
+        return LACKING if first != second else ""
 
     def different_settings(self) -> str:
         """Return a caution that names the settings by which the two results differ; empty if there are none."""

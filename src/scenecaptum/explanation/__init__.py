@@ -16,6 +16,7 @@ from ._premises import grid_premises as grid_premises
 from ._premises import grid_size as grid_size
 from ._premises import sky_premises as sky_premises
 from ._threshold import FACTOR as FACTOR
+from ._threshold import TOO_LOW as TOO_LOW
 from ._threshold import has_absolute_threshold as has_absolute_threshold
 from ._threshold import near_threshold_note as near_threshold_note
 from ._threshold import relative_rating as relative_rating

@@ -44,9 +44,9 @@ from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 from ._threshold import (
     is_near_threshold,
+    lamp_edge_notes,
     relative_sentence,
     single_sample_notes,
-    small_lamp_notes,
     threshold_notes,
 )
 
@@ -219,9 +219,18 @@ def _said_of(
     if metric.threshold_factor is None and any(is_near_threshold(metric, one) for one in (before, after)):
         said.append(relative_sentence(metric, after, Format.of(goal.after.value, goal.after.error)))
     if isinstance(scenes.renderer, SceneRenderer):
-        said += cautions_among(small_lamp_notes(metric, after, scenes.renderer.small_lamps(goal.values)))
+        said += cautions_among(_edge_notes(metric, after, scenes.renderer, goal.values))
     whose = AT_THE_GOAL if goal.reached else "of the design that was tried"
     return tuple(f"{whose}: {text}" for text in said)
+
+
+def _edge_notes(
+    metric: GlareRating,
+    image: torch.Tensor,
+    renderer: SceneRenderer,
+    values: Mapping[str, torch.Tensor] | None,
+) -> list[str]:
+    return lamp_edge_notes(metric, image, renderer.small_lamps(values), renderer.lamp_coverage(values))
 
 
 def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tensor:
@@ -284,10 +293,10 @@ def photometric_premises(
             "UGR and its limits are for luminaires; a window is rated by the daylight glare probability (DGP)"
         )
     rated = image if shown is None else shown
-    too_small = []
+    edges = []
     if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer):
-        too_small = small_lamp_notes(metric, rated, renderer.small_lamps(values))
-    premises += threshold_notes(metric, rated, Format.of(value, error), explained=bool(too_small))
+        edges = _edge_notes(metric, rated, renderer, values)
+    premises += threshold_notes(metric, rated, Format.of(value, error), explained=bool(edges))
     if isinstance(metric, VerticalIlluminance) and not metric.camera.sees_hemisphere:
         premises.append(
             advised(
@@ -297,7 +306,7 @@ def photometric_premises(
         )
     if isinstance(metric, GlareRating) and isinstance(renderer, SceneRenderer):
         premises += [POINT_LAMPS] if renderer.has_point_lamps else []
-        premises += too_small
+        premises += edges
     if isinstance(metric, DaylightGlareProbability):
         premises += _validity(value, VerticalIlluminance(metric.camera, metric.efficacy)(image).item())
     return tuple(premises)

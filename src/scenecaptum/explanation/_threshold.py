@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Mapping
-from typing import TypeGuard
+from typing import NamedTuple, TypeGuard
 
 import torch
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
-from ..rendering import SmallLamp
+from ..rendering import FILLED, SmallLamp
 from ..visualization import Format, advised, first_few, rounded
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
-NOTABLE = 0.01  # of a rating
+NOTABLE, MUCH = 0.01, 0.05  # of a rating
+TOO_LOW = "the rating is too low"
+NAMED = 0.1  # of what the most important lamp loses
+PURITY = 8  # exponent of the coverage of the pixels that tell the luminance of a lamp
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 ASIDE = 0.03  # of that threshold: how far noise may take a source
 JUMP = 0.02  # of a rating
@@ -63,35 +65,85 @@ def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
     return isinstance(metric, GlareRating) and metric.threshold_factor is None
 
 
-def small_lamp_notes(metric: GlareRating, image: torch.Tensor, lamps: Mapping[str, SmallLamp]) -> list[str]:
-    """Return a caution if lamps that cover less than half of any pixel are rated too low, and by how much.
+def lamp_edge_notes(
+    metric: GlareRating,
+    image: torch.Tensor,
+    small: Mapping[str, SmallLamp],
+    covered: Mapping[str, torch.Tensor],
+) -> list[str]:
+    """Return by how much a picture is rated too low because of pixels that lamps cover in part.
 
-    The luminance of their pixels is averaged with what surrounds them, and glare grows faster than luminance:
-    with its square. ``lamps`` are all that are as small.
+    The luminance of such a pixel is averaged with what surrounds the lamp, and glare grows faster than luminance:
+    with its square. ``small`` are the lamps that cover less than half of any pixel, ``covered`` the fractions of
+    the pixels that the others cover, ``(H, W)``. The note is a caution if much is missing.
     """
-    seen = {name: luminance(lamp.radiance[None, None]).item() for name, lamp in lamps.items()}
     threshold = metric.held_at(image).threshold / metric.efficacy
-    bright = {name: lamp for name, lamp in lamps.items() if seen[name] > threshold}
-    squares = defaultdict[tuple[int, int], float](float)
-    resolved, compared, shown = image.clone(), image.clone(), luminance(image)
-    for name, lamp in bright.items():
-        share = lamp.solid_angle / metric.camera.solid_angles[lamp.pixel].item()
-        squares[lamp.pixel] += share * seen[name] ** 2
-        # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
-        resolved[lamp.pixel] = max(shown[lamp.pixel].item(), squares[lamp.pixel] ** 0.5)
-        compared[lamp.pixel] = seen[name]
-    value = metric.hard(image).item()
-    missing = metric.hard(resolved, compared=compared).item() - value
-    if not bright or missing <= NOTABLE * abs(value):  # a rating may be negative
+    lamps = {
+        name: lamp
+        for name, lamp in _lamps(metric, image, small, covered).items()
+        if lamp.luminance > threshold
+    }
+    if not lamps:
         return []
-    cover, their, them = ("covers", "its", "it") if len(bright) == 1 else ("cover", "their", "them")
+    # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
+    squares = torch.stack([lamp.fraction * lamp.luminance**2 for lamp in lamps.values()]).sum(0)
+    brightest = torch.stack([(lamp.fraction > 0) * lamp.luminance for lamp in lamps.values()]).amax(0)
+    shown, value = luminance(image), metric.hard(image).item()
+    resolved = image.where(squares[..., None] == 0, torch.maximum(shown, squares.sqrt())[..., None])
+    compared = image.where(squares[..., None] == 0, brightest[..., None].to(image))
+    missing = metric.hard(resolved, compared=compared).item() - value
+    if missing <= NOTABLE * abs(value):  # a rating may be negative
+        return []
+    caution = "caution: " if missing > MUCH * abs(value) else ""
+    names = _losing_most({name: lamp.lost(metric.camera.solid_angles) for name, lamp in lamps.items()})
+    their, them = ("its", "it") if len(names) == 1 else ("their", "them")
     return [
         advised(
-            f"caution: {first_few([*bright])} {cover} less than half of any pixel: {their} light is averaged with "
-            f"what is around {them}, so that the rating is too low, by about {rounded(missing, 2)}",
+            f"{caution}pixels at the edges of {first_few(names)} average {their} light with what is around "
+            f"{them}: {TOO_LOW}, by about {rounded(missing, 2)}",
             "use a higher resolution",
         )
     ]
+
+
+def _losing_most(lost: Mapping[str, float]) -> list[str]:
+    names = sorted(lost, key=lost.__getitem__, reverse=True)
+    return [name for name in names if lost[name] >= NAMED * lost[names[0]]]
+
+
+class _Lamp(NamedTuple):
+    """The luminance of a lamp, before the efficacy, and the fraction of each pixel that it covers, ``(H, W)``.
+
+    One that covers less than half of any pixel has all its light in one. ``most`` is the most that it covers.
+    """
+
+    luminance: float
+    fraction: torch.Tensor
+    most: float
+
+    def lost(self, solid_angles: torch.Tensor) -> float:
+        """Return how much of its luminance² · solid angle the lamp loses to averaging."""
+        lost = self.fraction * (1 - self.fraction.clamp(max=self.most))
+        return self.luminance**2 * (lost * solid_angles.to(lost)).sum().item()
+
+
+def _lamps(
+    metric: GlareRating,
+    image: torch.Tensor,
+    small: Mapping[str, SmallLamp],
+    covered: Mapping[str, torch.Tensor],
+) -> dict[str, _Lamp]:
+    shown, lamps = luminance(image), {}
+    for name, mask in covered.items():
+        fraction = mask.to(shown)
+        # Mostly of pixels that show nothing else; where there are none, of the light relative to the fraction.
+        own = (fraction ** (PURITY - 1) * shown).sum() / (fraction**PURITY).sum()
+        lamps[name] = _Lamp(own.item(), fraction, 1.0)
+    for name, lamp in small.items():
+        fraction = torch.zeros_like(shown)
+        fraction[lamp.pixel] = lamp.solid_angle / metric.camera.solid_angles[lamp.pixel].item()
+        lamps[name] = _Lamp(luminance(lamp.radiance[None, None]).item(), fraction, FILLED)
+    return lamps
 
 
 def single_sample_notes(metric: GlareRating, image: torch.Tensor, other: torch.Tensor) -> tuple[str, ...]:

@@ -15,4 +15,5 @@ from ._renderer import SceneRenderer as SceneRenderer
 from ._sensors import SENSORS as SENSORS
 from ._sensors import SensorType as SensorType
 from ._sensors import named_sensors as named_sensors
+from ._small_lamp import FILLED as FILLED
 from ._small_lamp import SmallLamp as SmallLamp

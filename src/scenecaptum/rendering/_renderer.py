@@ -65,11 +65,9 @@ from ._sensors import (
     is_grid,
     shows_a_view,
 )
-from ._small_lamp import SmallLamp
+from ._small_lamp import FILLED, SmallLamp
 
 T = TypeVar("T")
-
-FILLED = 0.5  # the fraction of a pixel from which a lamp dominates it
 
 _NO_LAMPS = (
     "daylight coefficients are per unit radiance of the sky, which the weather sets, and leave lamps out"
@@ -674,12 +672,25 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         moved = {name: torch.tensor(value) for name, value in self._moved(values)}
         live = self._views[0].live
         with live.with_values(moved | self._lit(values or {})):
-            lamps = {
-                name: shape
-                for name, shape, _ in self._graph.shapes()
-                if shape.is_emitter() and surfaces.mask(name).max() < FILLED
+            small = {
+                name: shape for name, shape in self._lamps().items() if surfaces.mask(name).max() < FILLED
             }
-            return visible_lamps(self._graph.scene, live.sensor, camera_of(live.sensor), lamps)
+            return visible_lamps(self._graph.scene, live.sensor, camera_of(live.sensor), small)
+
+    def lamp_coverage(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, torch.Tensor]:
+        """Return the fraction of each pixel that each lamp covers, ``(H, W)``, but for ``small_lamps``.
+
+        Through panes and in mirrors too. ``values`` are as in ``small_lamps``.
+        """
+        if (surfaces := self.see_through((), values)) is None:
+            return {}
+        with exclusively(self._variant):
+            masks = {name: torch.from_numpy(surfaces.mask(name)) for name in self._lamps()}
+        return {name: mask for name, mask in masks.items() if mask.max() >= FILLED}
+
+    def _lamps(self) -> dict[str, Any]:
+        """Return the shapes that emit light, by name."""
+        return {name: shape for name, shape, _ in self._graph.shapes() if shape.is_emitter()}
 
     @property
     def has_grid(self) -> bool:

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import torch
 
+FILLED = 0.5  # the fraction of a pixel from which a lamp dominates it
+
 
 class SmallLamp(NamedTuple):
     """What a camera sees of a lamp that is smaller than a pixel.
