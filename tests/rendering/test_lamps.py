@@ -62,6 +62,19 @@ def test_lamps_are_not_small_in_a_large_picture(bulbs: dict[str, Any]) -> None:
     assert {*renderer.small_lamps()} == {"tiny", "behind_a_pane"}
 
 
+def test_coverage_is_of_lamps_that_are_seen_directly(bulbs: dict[str, Any]) -> None:
+    """Behind a pane, a lamp that fills pixels covers none in part: the fraction is that of the light."""
+    renderer = SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1)
+    covered = renderer.lamp_coverage()
+    assert {*covered} == {"large", "small"}
+    for name, radius in (("large", 0.6), ("small", 0.1)):
+        x, y, z = bulbs[name]["center"]
+        expected = math.pi * (radius / math.hypot(x, y, z - 4)) ** 2
+        assert (covered[name] * renderer.camera.solid_angles).sum() == pytest.approx(expected, rel=0.1)
+    bulbs = {**bulbs, "behind_a_pane": {**bulbs["behind_a_pane"], "radius": 0.1}}
+    assert {*SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1).lamp_coverage()} == {*covered}
+
+
 def test_small_lamps_are_as_the_values_have_them(bulbs: dict[str, Any]) -> None:
     inputs = ["small.*", "tiny.*", "camera.pose.*"]
     renderer = SceneRenderer(bulbs, inputs, resolution=(8, 8), spp=1)

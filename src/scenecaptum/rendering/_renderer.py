@@ -680,9 +680,10 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
     def lamp_coverage(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, torch.Tensor]:
         """Return the fraction of each pixel that each lamp covers, ``(H, W)``, but for ``small_lamps``.
 
-        Through panes and in mirrors too. ``values`` are as in ``small_lamps``.
+        Only what the camera sees directly: behind a pane or in a mirror, the fraction would be that of the light.
+        ``values`` are as in ``small_lamps``.
         """
-        if (surfaces := self.see_through((), values)) is None:
+        if (surfaces := self._surface_map((), values)) is None:
             return {}
         with exclusively(self._variant):
             masks = {name: torch.from_numpy(surfaces.mask(name)) for name in self._lamps()}
