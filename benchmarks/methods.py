@@ -3,7 +3,7 @@
 The methods take turns in one process. The script prints the medians of the seconds and of their ratio to the plain
 gradient of the same turn. Samples are split over steps and noisy scenes, so additional time is the overhead of
 many small renders, of rounding up the samples, and of evaluating the metric at the inputs themselves. Perturbation
-methods do not differentiate: a sample of theirs takes a third of the time, but each of their scenes gets at least
+methods do not differentiate: a sample of theirs takes less time, but each of their scenes gets at least
 one sample in each of 8 replicates.
 
     python benchmarks/methods.py [--scene FILE] [--resolution 320 180] [--spp 64] [--turns 3]
