@@ -11,13 +11,13 @@ from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
 from ..rendering import FILLED, SmallLamp
 from ..visualization import Format, advised, first_few, rounded
+from ._sources import PURITY
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
 NOTABLE, MUCH = 0.01, 0.05  # of a rating
 TOO_LOW = "the rating is too low"
 NAMED = 0.1  # of what the most important lamp loses
-PURITY = 8  # exponent of the coverage of the pixels that tell the luminance of a lamp
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 ASIDE = 0.03  # of that threshold: how far noise may take a source
 JUMP = 0.02  # of a rating
