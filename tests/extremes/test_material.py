@@ -230,9 +230,11 @@ def test_an_impossible_index_raises_by_its_exact_name_only(mi):
         ({"type": "roughconductor", "alpha": 1.7}, "knob.bsdf.alpha.value", "it is 1.7, outside"),
         ({"type": "roughconductor", "alpha": -0.3}, "knob.bsdf.alpha.value", "it is -0.3, outside"),
         ({"type": "principled", "roughness": -0.1}, "knob.bsdf.roughness.value", "it is -0.1, outside"),
+        ({"type": "principled", "metallic": 1.5}, "knob.bsdf.metallic.value", "it is 1.5, outside"),
+        ({"type": "principled", "anisotropic": 3.0}, "knob.bsdf.anisotropic.value", "it is 3, outside"),
     ],
 )
-def test_an_impossible_index_or_roughness_has_a_caution(mi, bsdf, name, said):
+def test_an_impossible_property_of_a_material_has_a_caution(mi, bsdf, name, said):
     renderer = SceneRenderer(room(mi, knob={"type": "sphere", "bsdf": bsdf}), inputs="materials")
     assert name not in renderer.inputs
     assert [where for where, _ in renderer.plan.cautions] == [name]
@@ -245,6 +247,7 @@ def test_an_impossible_index_or_roughness_has_a_caution(mi, bsdf, name, said):
         ({"type": "conductor"}, "knob.bsdf.eta.value"),  # a perfect mirror
         ({"type": "principled", "roughness": 0.0}, "knob.bsdf.roughness.value"),
         ({"type": "roughconductor", "alpha": 0.0}, "knob.bsdf.alpha.value"),
+        ({"type": "principled", "clearcoat": 1.0}, "knob.bsdf.clearcoat.value"),
     ],
 )
 def test_a_convention_of_mitsuba_is_no_fault(mi, bsdf, name):

@@ -12,7 +12,7 @@ from ..finite import describe_location
 from ._bounds import Bounds
 
 # Kinds whose values are physically impossible outside their bounds.
-_PHYSICAL_KINDS = ("emitters", "media", "reflectance", "opacity", "ior", "roughness")
+_PHYSICAL_KINDS = ("emitters", "media", "reflectance", "opacity", "ior", "roughness", "surface")
 # Kinds for which Mitsuba has a convention at an open bound: a roughness of 0 is smooth.
 _CLOSED_KINDS = ("roughness",)
 
