@@ -327,6 +327,9 @@ def test_table_says_that_the_scale_of_a_map_is_the_effect_of_its_light() -> None
     note = "~  sky.data: for the same amount added to every texel; sky.scale: for all of its light"
     assert note in table_text(result).splitlines()
     assert "every texel" not in table_text(result, scale="unit")
+    lines = " ".join(table_text(result, scale="value").split())
+    assert "~ sky.data: relative to the mean, which is added to every texel alike; for each texel" in lines
+    assert row_cautions(result, "value").keys() == {"sky.data"}
 
 
 @pytest.mark.parametrize(("of_scale", "is_shared"), [(0.5, True), (0.0, False)])

@@ -31,7 +31,10 @@ def range_notes(
     """
     shown = [name for name in attribution if among is None or name in among]
     notes = _alone_notes(attribution, shown) | _group_notes(attribution)
-    if attribution.kind.in_scale(attribution.scale_or_default(scale)) is ResultKind.EFFECT:
+    kind = attribution.kind.in_scale(attribution.scale_or_default(scale))
+    if kind is ResultKind.RELATIVE_EFFECT:
+        notes |= _texture_notes(attribution, shown)
+    if kind is ResultKind.EFFECT:
         notes |= {
             **_map_notes(attribution, shown),
             **_bump_notes(attribution, shown),
@@ -112,6 +115,18 @@ def _map_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list
             of_light = f"{labels.get(scale, scale)}: for all of its light"
             notes[f"{labels.get(name, name)}: for the same amount added to every texel; {of_light}"] = [name]
     return notes
+
+
+def _texture_notes(attribution: Attribution, shown: Sequence[str]) -> dict[str, list[str]]:
+    """Return a note on textures: relative to their mean, all texels change alike, not each by its share."""
+    textures = [name for name in shown if attribution[name].ndim > 1]
+    if not textures:
+        return {}
+    note = advised(
+        f"{_named(attribution, textures)}: relative to the mean, which is added to every texel alike",
+        "for each texel relative to its own value, use InputXGradientScene (--method input-x-gradient)",
+    )
+    return {note: textures}
 
 
 def _shared_light_notes(attribution: Attribution, shown: Collection[str]) -> list[str]:
