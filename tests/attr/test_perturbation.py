@@ -263,6 +263,35 @@ def test_occlusion_error_bars_are_the_spread_over_repeats():
     check_error_bars(totals, torch.stack([one.covariance["paper"].diagonal().sqrt() for one in repeats]))
 
 
+def test_error_bars_include_pixels_that_jump():
+    """As those that a lamp covers in part: one sample that meets it is enough for a metric with a threshold.
+
+    By chance, none of them changes if a single replicate is left out, and the delete-one jackknife states an error
+    near 0.
+    """
+    runs, covered = 200, torch.linspace(0.02, 0.5, 60).reshape(6, 10, 1)
+
+    def renderer(inputs, *, seed, spp):
+        met = torch.binomial(spp * torch.ones_like(covered), covered, torch.Generator().manual_seed(seed))
+        return inputs["lamp"] * (met / spp).expand(6, 10, 3)
+
+    def shown(image):
+        return torch.sigmoid((image[..., 0] - 0.3) / 0.05).mean()
+
+    light = {"lamp": torch.tensor(15.0)}
+    truth = shown(15 * covered) - shown(0 * covered)
+    found = [
+        FeatureAblationScene(renderer, shown).attribute(
+            light, baselines=0.0, seed=seed, spp=128, denoise=False
+        )
+        for seed in seeds(runs)
+    ]
+    ends = [one.interval()["lamp"] for one in found]
+    within = [low <= truth <= high for low, high in ends]
+    assert sum(within) / runs > 0.9 - 3 * math.sqrt(0.9 * 0.1 / runs)
+    assert max(abs(one["lamp"] - truth) / one.standard_error["lamp"] for one in found) < 10
+
+
 def test_the_noise_that_two_scenes_share_is_not_denoised_if_the_metric_stays_the_same(cornell):
     """The denoiser changes each of them in its own way, so that their noise cancels no longer."""
 

@@ -10,6 +10,7 @@ from scenecaptum.estimation import (
     corrected_and_error,
     half_sample_error,
     half_samples,
+    halves_of_samples,
     mean_and_error,
     pseudo_values,
 )
@@ -70,3 +71,36 @@ def test_the_bias_of_a_square_is_removed_as_by_the_jackknife(count: int):
     biased = samples.mean(1).square().mean().item()
     unbiased = sum(of_jackknife) / RUNS
     assert sum(of_halves) / RUNS == pytest.approx(unbiased, abs=0.1 * (biased - unbiased))
+
+
+@pytest.mark.parametrize("count", [2, 3, 5, 8, 12])
+def test_what_is_linear_has_the_values_of_its_samples_and_no_drifts(count: int):
+    samples = torch.randn(count, 2, generator=torch.Generator().manual_seed(shifted())).double()
+    found = halves_of_samples(lambda kept: samples[kept].mean(0), count)
+    assert torch.allclose(found.per_sample, samples)
+    assert torch.allclose(found.value, samples.mean(0))
+    assert found.drifts.abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("count", [2, 4, 8])
+def test_noise_and_drifts_together_are_the_error_of_half_samples(count: int):
+    samples = torch.randn(count, generator=torch.Generator().manual_seed(shifted())).double() + 1
+    found = halves_of_samples(lambda kept: samples[kept].mean().exp(), count)
+    noise = mean_and_error(found.per_sample)[1]
+    together = (noise**2 + found.drifts.square().sum().item()) ** 0.5
+    values = half_samples(lambda kept: samples[kept].mean().exp().item(), count)
+    corrected, error = corrected_and_error(values, count)
+    assert together == pytest.approx(error)
+    assert found.per_sample.mean().item() == pytest.approx(corrected)
+
+
+def test_halves_see_a_jump_that_leaving_one_sample_out_misses():
+    """Two of eight samples meet a small lamp, and one is enough for it to count."""
+    samples = torch.tensor([0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+
+    def counts(kept: torch.Tensor) -> torch.Tensor:
+        return (samples[kept].max() > 0).double()
+
+    assert pseudo_values(counts, len(samples)).std() == 0
+    found = halves_of_samples(counts, len(samples))
+    assert found.drifts.norm() > 0.3

@@ -51,7 +51,8 @@ class SceneAttribution(AttributionData):
     bias
         Estimated first-order bias of each gradient, due to the noise of the metric image (for non-linear metrics),
         to its denoising, to the steps of the finite differences of poses, and to what the metric does beyond first
-        order over their ranges. None with fewer than two replicates.
+        order over their ranges. That of an ablation, an occlusion or a Shapley value is due to the noise alone.
+        None with fewer than two replicates.
     quadrature_error
         For path integrals, a ``(C,)`` tensor for each parameter: the quadrature error of its channel totals,
         estimated from the same points. None for other methods.

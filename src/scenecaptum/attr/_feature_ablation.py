@@ -124,8 +124,8 @@ class FeatureAblationScene(Perturbation):
         parts = [(feature.owner, feature.channel or 0) for feature in features]
         sizes = {owner: channel_totals(template).numel() for owner, template in templates.items()}
 
-        def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
-            drops = measured_drops(pseudo_values, parts, sizes)
+        def effects_of(per_replicate: torch.Tensor) -> tuple[Effects, None]:
+            drops = measured_drops(per_replicate, parts, sizes)
             return {owner: Effect.of_totals(own, templates[owner]) for owner, own in drops.items()}, None
 
         info = describe_baselines(self.renderer, values, baselines, absent)

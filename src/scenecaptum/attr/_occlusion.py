@@ -129,8 +129,8 @@ class OcclusionScene(Perturbation):
         parts = [(patch.name, patch.index) for patch in patches]
         sizes = {name: len(own_windows) for name, own_windows in windows.items()}
 
-        def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, None]:
-            drops = measured_drops(pseudo_values, parts, sizes)
+        def effects_of(per_replicate: torch.Tensor) -> tuple[Effects, None]:
+            drops = measured_drops(per_replicate, parts, sizes)
             return {name: _effect(own, windows[name], textures[name]) for name, own in drops.items()}, None
 
         info = describe_baselines(self.renderer, textures, baselines, occluded, default=DEFAULT_OF_OCCLUSION)

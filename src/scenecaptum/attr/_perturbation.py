@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import torch
@@ -15,17 +15,19 @@ from ..errors import SceneCaptumError
 from ..estimation import (
     Budget,
     Denoise,
+    HalvesOfSamples,
     Metric,
     SampleOption,
     TargetedMetric,
     TransformSelector,
     at_values,
+    channel_totals,
     check_renderer_and_metric,
     covariance_of_mean,
     describe_picture,
     deviations_of_mean,
     error_parts,
-    pseudo_values,
+    halves_of_samples,
     relative_noise,
     render_images,
     require_memory,
@@ -55,13 +57,14 @@ class Arm:
 class ArmMeasurements:
     """The metric of each arm; after an interruption only of the finished arms.
 
-    ``pseudo_values`` are those of the jackknife in float64, ``R·M(mean image) − (R − 1)·M(mean without image r)``.
-    An effect is a difference of two arms. Its mean over the replicates is free of the bias of order ``1/R`` that
-    noise causes in a non-linear metric, and its variance gives the standard error.
+    An effect is a difference of two arms. The standard error of its mean over the replicates is that of the noise,
+    to which its drifts add what a non-linear metric makes of the noise. A metric may jump, such as where a pixel
+    crosses a threshold: half samples see that where the delete-one jackknife misses it and states an error of 0.
     """
 
-    pseudo_values: torch.Tensor  # (arms, replicates, targets)
-    values: torch.Tensor  # (targets,): the metric at the mean image of the first arm, the unchanged scene
+    values: torch.Tensor  # (arms, targets): the metric at the mean image, in float64
+    per_replicate: torch.Tensor  # (arms, replicates, targets): of ``halves_of_samples``
+    drifts: torch.Tensor  # (arms, halves, targets); none for a single replicate
     image: torch.Tensor  # the mean image of the unchanged scene
     noise: float | None  # of its pixels, relative; None for a single replicate
     inputs: Mapping[str, torch.Tensor]  # a summary of its values
@@ -92,6 +95,15 @@ class Effect:
 
         error = None if covariance is None else shaped(covariance.diagonal().sqrt())
         return cls(shaped(totals.mean(0)), error, totals, covariance)
+
+    def with_bias(self, bias: torch.Tensor) -> Effect:
+        """Return the effect with a bias, shaped like it, as a part of its errors."""
+        if self.error is None or self.covariance is None:
+            return self
+        total = channel_totals(bias).to(self.covariance)
+        return replace(
+            self, error=self.error.hypot(bias), covariance=self.covariance + total[:, None] * total
+        )
 
 
 Effects: TypeAlias = "dict[str, Effect]"
@@ -124,25 +136,26 @@ class Perturbation:
         budget = Budget.with_common_seeds(spp, settings.replicates, settings.seed, len(arms))
         require_memory(renderer, budget.spp, settings.replicates)
         bar = tqdm(total=len(arms), disable=not settings.show_progress, desc=metrics[0].label, unit="scene")
-        rows, interrupted = [], False
+        measured, interrupted = [], False
         with bar, torch.no_grad():
             images = _images(renderer, arms[0], budget)
-            metrics, (values, first) = _with_transforms(metrics, images, arms[0], renderer, settings.denoise)
+            metrics, first = _with_transforms(metrics, images, arms[0], renderer, settings.denoise)
             image, noise = torch.stack(images).mean(0), relative_noise(images)
-            rows.append(first)
+            measured.append(first)
             bar.update()
             try:
                 for arm in arms[1:]:
                     images = _images(renderer, arm, budget)
                     moved = [at_values(metric, renderer, arm.values()) for metric in metrics]
-                    rows.append(_pseudo_values(moved, images, arm.description)[1])
+                    measured.append(_values(moved, images, arm.description))
                     bar.update()
             except KeyboardInterrupt:
                 interrupted = True
         info = {"method": type(self).__name__, "seed": settings.seed, **watch.info}
         inputs = summarize(own_texels(renderer, arms[0].values()))
+        values, per_replicate, drifts = (torch.stack(part) for part in zip(*measured, strict=True))
         return ArmMeasurements(
-            torch.stack(rows), values, image, noise, inputs, metrics, budget, interrupted, info
+            values, per_replicate, drifts, image, noise, inputs, metrics, budget, interrupted, info
         )
 
     def _results(
@@ -156,17 +169,23 @@ class Perturbation:
     ) -> Result:
         """Return a result for each target; raise if the measurement was interrupted.
 
-        ``effects_of`` computes the effects from ``(arms, replicates)`` pseudo-values, and a residual if the
-        effects explain a difference. ``quantity`` says what the effects are. AttributionInterrupted has the
-        finished effects; KeyboardInterrupt is raised if there are none.
+        ``effects_of`` computes the effects from ``(arms, replicates)`` values, in which they are linear, and a
+        residual if the effects explain a difference. ``quantity`` says what the effects are.
+        AttributionInterrupted has the finished effects; KeyboardInterrupt is raised if there are none.
         """
         info["quantity"] = quantity.value
         results = []
         for index in range(len(measured.metrics)):
-            effects, residual = effects_of(measured.pseudo_values[..., index])
+            effects, residual = effects_of(measured.per_replicate[..., index])
             if not effects:
                 raise KeyboardInterrupt
-            results.append(self._result(measured, index, effects, residual, info))
+            drifts = [effects_of(drift[:, None])[0] for drift in measured.drifts[..., index].T]
+            biases = {
+                name: _norm(torch.stack([drift[name].value for drift in drifts]))
+                for name in effects
+                if drifts
+            }
+            results.append(self._result(measured, index, effects, biases, residual, info))
         if measured.interrupted:
             raise AttributionInterrupted(*results)
         return results if isinstance(target, list) else results[0]
@@ -176,17 +195,18 @@ class Perturbation:
         measured: ArmMeasurements,
         index: int,
         effects: Effects,
+        biases: Mapping[str, torch.Tensor],
         residual: Residual | None,
         info: Mapping[str, Any],
     ) -> SceneAttribution:
-        value, unbiased = measured.values[index].item(), measured.pseudo_values[0, :, index]
+        value, unbiased = measured.values[0, index].item(), measured.per_replicate[0, :, index]
         count = len(unbiased)
-        bias = value - unbiased.mean().item() if count > 1 else None
-        error = (unbiased.std() / math.sqrt(count)).item() if count > 1 else None
-        drift = None if bias is None or error is None else (bias, error)
-        parts = (
-            None if bias is None else error_parts(bias, 0.0, deviations_of_mean(unbiased) / math.sqrt(count))
-        )
+        has_errors = count > 1
+        drift = value - unbiased.mean().item() if has_errors else None  # from half of the samples to all
+        noise = deviations_of_mean(unbiased) / math.sqrt(count) if has_errors else None
+        parts = None if noise is None else error_parts(_norm(measured.drifts[0, :, index]).item(), 0.0, noise)
+        if has_errors:
+            effects = {name: effect.with_bias(biases[name]) for name, effect in effects.items()}
         surfaces = surfaces_of(self.renderer, effects, measured.inputs)
         spp_per_arm = None if measured.budget.spp[0] is None else count * measured.budget.spp[0]
         result_info = {
@@ -202,11 +222,11 @@ class Perturbation:
                 "replicates": count,
                 "total_spp": measured.budget.total,
             },
-            "metric_bias": bias,
+            "metric_bias": drift,
             "picture": describe_picture(
                 measured.metrics[index].transform,
                 value,
-                drift,
+                None if drift is None or noise is None else (drift, noise.norm().item()),
                 spp_per_arm,
                 metric=measured.metrics[index],
                 image=measured.image,
@@ -233,6 +253,7 @@ class Perturbation:
             metric_standard_error=None if parts is None else parts.norm().item(),
             metric_error_parts=parts,
             convergence_delta=None if residual is None else residual.delta,
+            bias={name: one.float() for name, one in biases.items()} if has_errors else None,
             replicates=_all_or_none({name: effect.totals for name, effect in effects.items()}) or {},
             covariance=_all_or_none({name: effect.covariance for name, effect in effects.items()}),
             parameter_values=measured.inputs,
@@ -244,7 +265,7 @@ class Perturbation:
 
 
 def measured_drops(
-    pseudo_values: torch.Tensor, parts: Sequence[tuple[str, int]], sizes: Mapping[str, int]
+    per_replicate: torch.Tensor, parts: Sequence[tuple[str, int]], sizes: Mapping[str, int]
 ) -> dict[str, torch.Tensor]:
     """Return how much each part lowers the metric, ``(replicates, size)`` by the owner of the parts.
 
@@ -253,10 +274,10 @@ def measured_drops(
     drops = {}
     for owner, size in sizes.items():
         own = [(1 + arm, index) for arm, (name, index) in enumerate(parts) if name == owner]
-        if all(arm < len(pseudo_values) for arm, _ in own):
-            drops[owner] = pseudo_values.new_zeros(pseudo_values.shape[1], size)
+        if all(arm < len(per_replicate) for arm, _ in own):
+            drops[owner] = per_replicate.new_zeros(per_replicate.shape[1], size)
             for arm, index in own:
-                drops[owner][:, index] = pseudo_values[0] - pseudo_values[arm]
+                drops[owner][:, index] = per_replicate[0] - per_replicate[arm]
     return drops
 
 
@@ -271,18 +292,25 @@ def _all_or_none(tensors: Mapping[str, torch.Tensor | None]) -> dict[str, torch.
     return present if len(present) == len(tensors) else None
 
 
-def _pseudo_values(
-    metrics: Sequence[TargetedMetric], images: Sequence[torch.Tensor], scene: str
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the metrics at the mean image ``(targets,)``, and their pseudo-values ``(replicates, targets)``."""
+def _norm(drifts: torch.Tensor) -> torch.Tensor:
+    """Return the norm over the halves, with the sign of their sum, so that two results cancel what they share."""
+    size = drifts.square().sum(0).sqrt()
+    return size.copysign(drifts.sum(0))
+
+
+def _values(metrics: Sequence[TargetedMetric], images: Sequence[torch.Tensor], scene: str) -> HalvesOfSamples:
+    """Return the metrics at the mean image, ``(targets,)``, of the replicates, and their drifts."""
     stack = torch.stack(tuple(images))
 
     def values(kept: torch.Tensor) -> torch.Tensor:
-        return _evaluate(metrics, stack[kept].mean(0), scene)
+        # In float64: without noise, the mean of every half is the same image.
+        return _evaluate(metrics, stack[kept].mean(0, dtype=torch.float64).to(stack), scene)
 
     count = len(images)
-    unchanged = values(torch.arange(count))
-    return unchanged, unchanged[None] if count == 1 else pseudo_values(values, count)
+    if count > 1:
+        return halves_of_samples(values, count)
+    value = values(torch.arange(count))
+    return HalvesOfSamples(value, value[None], value.new_empty(0, len(value)))
 
 
 def _with_transforms(
@@ -291,8 +319,8 @@ def _with_transforms(
     arm: Arm,
     renderer: Renderer,
     mode: Denoise,
-) -> tuple[tuple[TargetedMetric, ...], tuple[torch.Tensor, torch.Tensor]]:
-    """Return the metrics with their image transforms, and their values at the images as in ``_pseudo_values``.
+) -> tuple[tuple[TargetedMetric, ...], HalvesOfSamples]:
+    """Return the metrics with their image transforms, and their values at the images as in ``_values``.
 
     With common random numbers, most of the noise of two renders cancels in their difference. The denoiser undoes
     this: it changes each of them in its own way, and the replicates of a scene share most of that. So ``"auto"``
@@ -304,12 +332,12 @@ def _with_transforms(
         return tuple(with_image_transform(metrics, images, selector))
 
     found = transformed(mode)
-    values = _pseudo_values(found, images, arm.description)
+    values = _values(found, images, arm.description)
     if mode != "auto" or len(images) == 1 or not any(metric.transform.denoises for metric in found):
         return found, values
     rendered = transformed(False)
-    of_rendered = _pseudo_values(rendered, images, arm.description)
-    first, second = values[1], of_rendered[1]
+    of_rendered = _values(rendered, images, arm.description)
+    first, second = values.per_sample, of_rendered.per_sample
     error = torch.hypot(first.std(0), second.std(0)) / math.sqrt(len(images))
     is_same = (first.mean(0) - second.mean(0)).abs() <= UNCHANGED * error
     return (rendered, of_rendered) if is_same.all() else (found, values)

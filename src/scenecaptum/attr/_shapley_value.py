@@ -130,10 +130,10 @@ class ShapleyValueScene(Perturbation):
         )
         measured = self._measure(arms, target, settings)
 
-        def effects_of(pseudo_values: torch.Tensor) -> tuple[Effects, Residual | None]:
-            return _effects(game, pseudo_values, members)
+        def effects_of(per_replicate: torch.Tensor) -> tuple[Effects, Residual | None]:
+            return _effects(game, per_replicate, members)
 
-        count, pairs = measured.pseudo_values.shape[1], len(game.finished(len(measured.pseudo_values)))
+        count, pairs = measured.per_replicate.shape[1], len(game.finished(len(measured.per_replicate)))
         return self._results(
             measured,
             target,
@@ -259,11 +259,11 @@ def _sampled_values(
 
 
 def _effects(
-    game: _Game, pseudo_values: torch.Tensor, members: Mapping[str, tuple[str, ...]]
+    game: _Game, per_replicate: torch.Tensor, members: Mapping[str, tuple[str, ...]]
 ) -> tuple[Effects, Residual | None]:
     """Return the value of every group, 0 if it is at its baseline, and the residual due to rounding."""
-    metric_of = dict(zip(game.coalitions, pseudo_values, strict=False))
-    finished = game.finished(len(pseudo_values))
+    metric_of = dict(zip(game.coalitions, per_replicate, strict=False))
+    finished = game.finished(len(per_replicate))
     if game.orders is None and len(metric_of) == len(game.coalitions):
         values = _exact_values(metric_of, game.players)
     elif finished:

@@ -62,10 +62,12 @@ from ._replicates import Sampling as Sampling
 from ._replicates import channel_totals as channel_totals
 from ._replicates import covariance_of_mean as covariance_of_mean
 from ._replicates import render_images as render_images
+from ._resampling import HalvesOfSamples as HalvesOfSamples
 from ._resampling import corrected_and_error as corrected_and_error
 from ._resampling import delete_one_jackknife as delete_one_jackknife
 from ._resampling import half_sample_error as half_sample_error
 from ._resampling import half_samples as half_samples
+from ._resampling import halves_of_samples as halves_of_samples
 from ._resampling import mean_and_error as mean_and_error
 from ._resampling import pseudo_values as pseudo_values
 from ._rounds import Rounds as Rounds

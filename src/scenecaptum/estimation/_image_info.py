@@ -130,7 +130,7 @@ def describe_picture(  # noqa: PLR0913 -- everything that is known of the pictur
     if noisy:
         noisy = f"the {'picture' if shows_a_view else 'result'} {TOO_NOISY} {THIS_METRIC}: {noisy}"
     if noisy and compares:
-        noisy += "; the effects are biased, too, and their errors do not include it"
+        noisy += "; the effects are biased, too"
     return {
         "spp": spp,
         "denoised": transform.denoises,
