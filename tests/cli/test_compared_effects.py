@@ -292,13 +292,34 @@ def test_values_that_move_in_opposite_directions_have_a_caution(
     assert unclear.opposite() == ""
 
 
+@pytest.mark.parametrize(
+    ("amounts", "said"),
+    [
+        ((2.8, 2.4), "(A: by about 2.8; B: by about 2.4): without that, the change is about −0.8"),
+        ((0.0, 9.8), "(A: by about 0; B: by about 9.8): without that, the change is about +9.4"),
+        ((2.8, 2.8), ""),
+        ((2.8, 2.84), ""),  # within the noise of the change
+    ],
+)
+def test_a_change_whose_ratings_lack_different_amounts_is_stated_with_them(
+    amounts: tuple[float, float], said: str
+) -> None:
+    before = results.make()
+    sides = [_compared.Side(missing=one) for one in amounts]
+    found = _compared.Compared(before, before, ["A", "B"], -0.4, 0.05, sides)
+    assert found.lacking() == (said and f"caution: the edges of lamps lower the ratings {said}")
+    assert (found.lacking() in found.notes()) == bool(said)
+    exact = dataclasses.replace(found, by_definition=(-4.0, 0.5))
+    assert ("is about +5.8" in exact.lacking()) == (amounts[1] > 9), "small beside this change"
+
+
 @pytest.mark.parametrize(("amounts", "is_lacking"), [((2.8, 2.4), True), ((2.8, 2.8), False), ((2.8,), True)])
-def test_ratings_that_lack_different_amounts_have_a_caution_on_the_change(
+def test_saved_ratings_that_lack_different_amounts_have_a_caution_on_the_change(
     amounts: tuple[float, ...], is_lacking: bool
 ) -> None:
     before = results.make()
     notes = [(f"pixels at the edges of lamp …: the rating is too low, by about {one}",) for one in amounts]
-    sides = [_compared.Side(premises=one) for one in (*notes, ())[:2]]
+    sides = [_compared.Side(premises=one, is_saved=True) for one in (*notes, ())[:2]]
     found = _compared.Compared(before, before, ["A", "B"], -0.4, 0.05, sides)
     assert any("the change lacks the difference" in note for note in found.notes()) == is_lacking
 

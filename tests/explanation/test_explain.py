@@ -446,6 +446,22 @@ def test_what_a_rating_lacks_is_what_a_finer_picture_has_more(mi):
     assert missing[512] == 0, "not worth a note"
 
 
+def test_a_change_with_what_lamps_lack_is_that_of_a_finer_picture(mi):
+    """Dimmed below the threshold, the lamp counts no more; its pixels, of half its light, never did."""
+    radiance, spp = 14.0, 256
+    coarse, fine = (
+        bulb_before_a_wall(mi, 32, 0.1, spp, radiance),
+        bulb_before_a_wall(mi, 512, 0.1, 4, radiance),
+    )
+    glare = metrics.UnifiedGlareRating(coarse.camera)
+    (change,) = explain(coarse, glare, changes=1, seed=shifted()).changes
+    dimmed = {change.name: change.after}
+    rated = metrics.UnifiedGlareRating(fine.camera)
+    before, after = (rated.hard(fine(values, seed=shifted())).item() for values in ({}, dimmed))
+    assert change.exact == 0
+    assert change.missing == pytest.approx(after - before, abs=8 * math.log10(1.3))
+
+
 def test_only_lamps_that_lose_much_are_named():
     metric = metrics.UnifiedGlareRating(Camera.perspective(8, 8, fov_x=60))
     image = torch.full((8, 8, 3), 0.5)

@@ -179,6 +179,24 @@ def test_no_share_that_is_larger_than_one_that_is_named_is_part_of_the_rest():
     ]
 
 
+@pytest.mark.parametrize(
+    ("measured", "missing", "said"),
+    [
+        (-7.6, 6.4, "; but for the edges of lamps, by about −1.2"),
+        (-1.5, -2.0, "; but for the edges of lamps, by about −3.5"),
+        (-0.01, -24.0, ": within its noise; but for the edges of lamps, by about −24"),
+        (-7.6, 0.5, ""),  # a small part of the change
+        (-0.2, 0.03, ""),  # within its noise
+    ],
+)
+def test_a_change_of_a_rating_is_also_stated_with_what_lamps_lack(measured: float, missing: float, said: str):
+    one = dataclasses.replace(change(measured, 0.05), missing=missing)
+    sections = lines(Explanation(rated(19.3, 0.5), changes=(one,))).values()
+    text = " ".join(line for section in sections for line in section)
+    assert ("for the edges of lamps" in text) == bool(said)
+    assert said in text
+
+
 def test_the_largest_shares_are_named_where_none_is_clear():
     shares = [("sky", 0.4, 0.3), ("a", 0.2, 0.15), ("b", 0.15, 0.1), ("c", 0.1, 0.06)]
     *named, rest = shares_of(*shares)

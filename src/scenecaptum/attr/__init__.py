@@ -42,6 +42,7 @@ from ._findings import Definition as Definition
 from ._findings import Row as Row
 from ._findings import Source as Source
 from ._findings import are_far_apart as are_far_apart
+from ._findings import lacks_much as lacks_much
 from ._gradient_shap import GradientShapScene as GradientShapScene
 from ._groups import GROUPS as GROUPS
 from ._groups import sum_groups as sum_groups

@@ -21,13 +21,14 @@ from ..visualization import (
     plain_number,
     pluralize,
     rounded,
+    signed_roughly,
     terminal_width,
     verdict,
     with_error,
     wrap,
 )
 from ._effect_sentences import EffectSentences
-from ._findings import Change, Definition, Row, Source, are_far_apart, is_clear
+from ._findings import Change, Definition, Row, Source, are_far_apart, is_clear, lacks_much
 from ._wording import change_in_words, percent, rating_in_words, row_name, signed, step
 
 MOST = 0.8  # of the effect of more light: the fewest rows with as much decide
@@ -90,7 +91,9 @@ class Explanation:
         is_glare = any(source.luminance is not None for source in self.sources)
         depends_on = axis_label(self.attribution, width=None, is_relaxed=self.definition is not None)
         unclear = tuple(
-            f"{self._change_line(one)}: within its noise" for one in self.changes if not one.is_clear
+            f"{self._change_line(one)}: within its noise{self._with_edges(one)}"
+            for one in self.changes
+            if not one.is_clear
         )
         effects = EffectSentences(self.attribution, self.changes, self.count, self._saturated(), unclear)
         sections = [
@@ -238,7 +241,11 @@ class Explanation:
     def _change_lines(self) -> list[str]:
         if self.no_changes:
             return [self.no_changes]
-        lines = [self._change_line(change) for change in self.changes if change.is_clear]
+        lines = [
+            f"{self._change_line(change)}{self._with_edges(change)}"
+            for change in self.changes
+            if change.is_clear
+        ]
         return [*self._change_legend(), *lines] if lines else []
 
     def _row_lines(self) -> list[str]:
@@ -338,6 +345,15 @@ class Explanation:
             bent = ", with the other sign"
         effects = f"({relaxed}{measured} rendered, {predicted} predicted{bent})"
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
+
+    def _with_edges(self, change: Change) -> str:
+        """Return about by how much a glare rating changes with what it lacks at the edges of lamps."""
+        by, error = change.measured or 0.0, change.measured_error
+        if self.definition is not None and change.exact is not None:
+            by, error = change.exact - self.definition.value, change.exact_error
+        if not lacks_much(change.missing, by, error):
+            return ""
+        return f"; but for the edges of lamps, by about {signed_roughly(by + change.missing)}"
 
     def _exact_difference(self, change: Change) -> str:
         """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""

@@ -12,6 +12,7 @@ from ..student import DISAGREEMENT_LEVEL, student_t
 SIGNIFICANT = 2.0  # standard errors below which an effect is not stated
 _ROUNDING = 1e-6  # relative, of single precision
 NONLINEAR = 0.2  # of the rendered effect: a prediction that is off by more is marked
+LACKING = 0.1  # of a change of a glare rating
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,8 @@ class Change:
         standard error of its difference from that of the scene as it is, with the same random numbers.
     degrees_of_freedom
         Of the standard errors: one less than the replicates.
+    missing
+        How much more than in the scene as it is a glare rating lacks of lamps that cover pixels in part.
     """
 
     name: str
@@ -73,6 +76,7 @@ class Change:
     exact: float | None = None
     exact_error: float | None = None
     degrees_of_freedom: int = 7
+    missing: float = 0.0
 
     @property
     def is_clear(self) -> bool:
@@ -94,6 +98,11 @@ class Change:
         error = math.hypot(self.predicted_error, self.measured_error or 0.0)
         noise = student_t(DISAGREEMENT_LEVEL, self.degrees_of_freedom) * error
         return apart <= max(noise, NONLINEAR * abs(self.measured))
+
+
+def lacks_much(missing: float, change: float, error: float | None) -> bool:
+    """Whether a change of a glare rating lacks much at the edges of lamps, and more than its noise."""
+    return abs(missing) > max(LACKING * abs(change), error or 0.0)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from ..explanation import (
     definition_of,
     depth_premises,
     grid_premises,
+    missing_at_edges,
     photometric_premises,
     rated_image,
     states_definition,
@@ -253,6 +254,7 @@ def _side(
         definition,
         of_picture + premises(metric, options) + grid_premises(renderer),
         depth_premises(renderer),
+        missing_at_edges(metric, shown, renderer, values),
     )
 
 

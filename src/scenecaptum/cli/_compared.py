@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from .. import metrics
-from ..attr import Definition, Explanation, SceneAttribution, are_far_apart
+from ..attr import Definition, Explanation, SceneAttribution, are_far_apart, lacks_much
 from ..explanation import TOO_LOW
 from ..report import Table, different_values
 from ..scene import pose_component, with_unit
@@ -22,6 +22,7 @@ from ..visualization import (
     metric_unit,
     noise_notes,
     rounded,
+    signed_roughly,
     signed_with_error,
     terminal_width,
     unit_of_change,
@@ -51,7 +52,7 @@ RELAXED = "The effects are those of the relaxed metric, which only serves the de
 FAR_APART = (
     "The main source is so close to the threshold that both changes depend on it more than on the scene"
 )
-LACKING = (
+SAVED_LACK = (
     "caution: both ratings are too low because of the edges of lamps, by different amounts; the change lacks the "
     "difference"
 )
@@ -62,13 +63,15 @@ OPPOSITE = "caution: the direction of this change depends on the threshold"
 class Side:
     """What belongs to one of the two results: its plan, its value by the definition, and its premises.
 
-    ``on_page`` has the premises of which the terminal was warned before. A saved result has none of these.
+    ``on_page`` has the premises of which the terminal was warned before, and ``missing`` is what a glare rating
+    lacks of lamps that cover pixels in part. A saved result has none of these.
     """
 
     plan: Figure | None = None
     definition: Definition | None = None
     premises: Sequence[str] = ()
     on_page: Sequence[str] = ()
+    missing: float = 0.0
     is_saved: bool = False
 
 
@@ -109,12 +112,28 @@ class Compared:
         return OPPOSITE if is_clear and self.by_definition[0] * self.change < 0 else ""
 
     def lacking(self) -> str:
-        """Return a caution if pixels at the edges of lamps take different amounts from the two ratings."""
-        first, second = (
+        """Return a caution if the change lacks much at the edges of lamps, with about what it is with them.
+
+        What a saved result lacks is known from its cautions only.
+        """
+        if not any(side.is_saved for side in self.sides):
+            first, second = (side.missing for side in self.sides)
+            change, error = self.by_definition or (self.change, self.error)
+            if not lacks_much(second - first, change, error):
+                return ""
+            lacks = [
+                f"{title}: by about {rounded(side.missing, 2)}"
+                for side, title in zip(self.sides, self.titles, strict=True)
+            ]
+            return (
+                f"caution: the edges of lamps lower the ratings ({'; '.join(lacks)}): without that, the change is "
+                f"about {signed_roughly(change + second - first)}"
+            )
+        of_first, of_second = (
             [text for text in (*noise_notes(one), *side.premises) if TOO_LOW in text]
             for one, side in zip((self.before, self.after), self.sides, strict=True)
         )
-        return LACKING if first != second else ""
+        return SAVED_LACK if of_first != of_second else ""
 
     def different_settings(self) -> str:
         """Return a caution that names the settings by which the two results differ; empty if there are none."""

@@ -8,6 +8,7 @@ from ._definition import definition_of as definition_of
 from ._definition import states_definition as states_definition
 from ._explain import AT_THE_GOAL as AT_THE_GOAL
 from ._explain import explain as explain
+from ._explain import missing_at_edges as missing_at_edges
 from ._explain import photometric_premises as photometric_premises
 from ._explain import rated_image as rated_image
 from ._explain import values_of as values_of

@@ -106,8 +106,11 @@ def _is_clear(row: RankedParameter) -> bool:
     return row.effect_error is not None and abs(row.effect) > SIGNIFICANT * row.effect_error
 
 
-def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> Change:
-    """Return the change with its effect of rendering the changed scene, also on a value by the definition."""
+def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> tuple[Change, torch.Tensor]:
+    """Return the change with its effect of rendering the changed scene, and the renders.
+
+    Where a value by the definition is given, the change also has its effect on that.
+    """
     changes = {change.name: change.after}
     images = scenes.render(changes)
     measured, error = scenes.difference(images, changes)
@@ -115,13 +118,12 @@ def rendered(scenes: Scenes, change: Change, definition: Definition | None) -> C
         change, measured=measured, measured_error=error, degrees_of_freedom=len(images) - 1
     )
     if definition is None:
-        return change
+        return change, images
     changed = at_values(scenes.metric, scenes.renderer, {**scenes.values, **changes})
     by_definition = difference_by_definition(scenes.metric, changed, (scenes.images, images))
     assert by_definition is not None, "there is one of the scene as it is"
-    return dataclasses.replace(
-        change, exact=definition.value + by_definition[0], exact_error=by_definition[1]
-    )
+    exact, exact_error = definition.value + by_definition[0], by_definition[1]
+    return dataclasses.replace(change, exact=exact, exact_error=exact_error), images
 
 
 def _moved(

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 
-from ..attr import Explanation, SceneAttribution, VanillaSceneGradient
+from ..attr import Change, Definition, Explanation, SceneAttribution, VanillaSceneGradient
 from ..daylight import AnnualSunlightExposure, DaylightMetric
 from ..denoising import denoise as denoised
 from ..denoising import guides_of
@@ -43,6 +43,7 @@ from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 from ._threshold import (
+    edge_loss,
     is_near_threshold,
     lamp_edge_notes,
     relative_sentence,
@@ -180,7 +181,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         definition=definition,
         premises=premises,
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps),
-        changes=tuple(rendered(scenes, change, definition) for change in proposed),
+        changes=_rendered(scenes, proposed, definition, metric),
         no_changes=why_none(attribution) if count and not proposed else "",
         goal=goal,
         picture=of_value,
@@ -231,6 +232,33 @@ def _edge_notes(
     values: Mapping[str, torch.Tensor] | None,
 ) -> list[str]:
     return lamp_edge_notes(metric, image, renderer.small_lamps(values), renderer.lamp_coverage(values))
+
+
+def missing_at_edges(
+    metric: Metric, image: torch.Tensor, renderer: Renderer, values: Mapping[str, torch.Tensor]
+) -> float:
+    """Return how much a rating lacks of lamps that cover pixels in part; 0 where it is none of glare."""
+    if not isinstance(metric, GlareRating) or not isinstance(renderer, SceneRenderer):
+        return 0.0
+    return edge_loss(metric, image, renderer.small_lamps(values), renderer.lamp_coverage(values)).missing
+
+
+def _rendered(
+    scenes: Scenes, proposed: Sequence[Change], definition: Definition | None, metric: Metric
+) -> tuple[Change, ...]:
+    """Return the changes with their effects of rendering them, also on what a glare rating lacks."""
+
+    def missing(images: torch.Tensor, values: Mapping[str, torch.Tensor]) -> float:
+        shown = at_values(scenes.metric, scenes.renderer, values).transform(images.mean(0))
+        return missing_at_edges(metric, shown, scenes.renderer, values)
+
+    before = missing(scenes.images, scenes.values) if proposed else 0.0
+    found = []
+    for one in proposed:
+        change, images = rendered(scenes, one, definition)
+        after = missing(images, {**scenes.values, one.name: one.after})
+        found.append(dataclasses.replace(change, missing=after - before))
+    return tuple(found)
 
 
 def rated_image(attribution: SceneAttribution, renderer: Renderer) -> torch.Tensor:

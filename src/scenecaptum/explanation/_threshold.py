@@ -65,17 +65,24 @@ def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
     return isinstance(metric, GlareRating) and metric.threshold_factor is None
 
 
-def lamp_edge_notes(
+class EdgeLoss(NamedTuple):
+    """By how much pixels that lamps cover in part make a rating too low, and the lamps that lose most."""
+
+    missing: float
+    lamps: list[str]
+
+
+def edge_loss(
     metric: GlareRating,
     image: torch.Tensor,
     small: Mapping[str, SmallLamp],
     covered: Mapping[str, torch.Tensor],
-) -> list[str]:
+) -> EdgeLoss:
     """Return by how much a picture is rated too low because of pixels that lamps cover in part.
 
     The luminance of such a pixel is averaged with what surrounds the lamp, and glare grows faster than luminance:
     with its square. ``small`` are the lamps that cover less than half of any pixel, ``covered`` the fractions of
-    the pixels that the others cover, ``(H, W)``. The note is a caution if much is missing.
+    the pixels that the others cover, ``(H, W)``.
     """
     threshold = metric.held_at(image).threshold / metric.efficacy
     lamps = {
@@ -84,7 +91,7 @@ def lamp_edge_notes(
         if lamp.luminance > threshold
     }
     if not lamps:
-        return []
+        return EdgeLoss(0.0, [])
     # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
     squares = torch.stack([lamp.fraction * lamp.luminance**2 for lamp in lamps.values()]).sum(0)
     brightest = torch.stack([(lamp.fraction > 0) * lamp.luminance for lamp in lamps.values()]).amax(0)
@@ -92,10 +99,23 @@ def lamp_edge_notes(
     resolved = image.where(squares[..., None] == 0, torch.maximum(shown, squares.sqrt())[..., None])
     compared = image.where(squares[..., None] == 0, brightest[..., None].to(image))
     missing = metric.hard(resolved, compared=compared).item() - value
-    if missing <= NOTABLE * abs(value):  # a rating may be negative
+    return EdgeLoss(
+        missing, _losing_most({n: lamp.lost(metric.camera.solid_angles) for n, lamp in lamps.items()})
+    )
+
+
+def lamp_edge_notes(
+    metric: GlareRating,
+    image: torch.Tensor,
+    small: Mapping[str, SmallLamp],
+    covered: Mapping[str, torch.Tensor],
+) -> list[str]:
+    """Return a note on what ``edge_loss`` says a rating lacks at the edges of lamps, a caution if it is much."""
+    missing, names = edge_loss(metric, image, small, covered)
+    value = abs(metric.hard(image).item())  # a rating may be negative
+    if missing <= NOTABLE * value:
         return []
-    caution = "caution: " if missing > MUCH * abs(value) else ""
-    names = _losing_most({name: lamp.lost(metric.camera.solid_angles) for name, lamp in lamps.items()})
+    caution = "caution: " if missing > MUCH * value else ""
     their, them = ("its", "it") if len(names) == 1 else ("their", "them")
     return [
         advised(

@@ -91,6 +91,7 @@ from ._numbers import plain_number as plain_number
 from ._numbers import rounded as rounded
 from ._numbers import rounded_up as rounded_up
 from ._numbers import shorten as shorten
+from ._numbers import signed_roughly as signed_roughly
 from ._numbers import signed_with_error as signed_with_error
 from ._numbers import with_error as with_error
 from ._plan import LEVELS as LEVELS

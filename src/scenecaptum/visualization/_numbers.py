@@ -96,6 +96,12 @@ def rounded(number: float, digits: int = 3) -> str:
     return f"{text.rstrip('0').rstrip('.') if '.' in text else text}{e}{exponent}"
 
 
+def signed_roughly(number: float) -> str:
+    """Return a number that is known roughly, with its sign: ``'+1.4'``, ``'−0.32'``, ``'0'``."""
+    text = rounded(number, 2)
+    return f"+{text}" if number > 0 else text
+
+
 def rounded_up(number: float, digits: int) -> str:
     """Return a positive number, such as an upper limit, rounded up to a number of significant ``digits``.
 
