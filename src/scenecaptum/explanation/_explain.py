@@ -247,6 +247,8 @@ def _rendered(
     scenes: Scenes, proposed: Sequence[Change], definition: Definition | None, metric: Metric
 ) -> tuple[Change, ...]:
     """Return the changes with their effects of rendering them, also on what a glare rating lacks."""
+    if not isinstance(metric, GlareRating):
+        return tuple(rendered(scenes, one, definition)[0] for one in proposed)
 
     def missing(images: torch.Tensor, values: Mapping[str, torch.Tensor]) -> float:
         shown = at_values(scenes.metric, scenes.renderer, values).transform(images.mean(0))
