@@ -731,9 +731,15 @@ def test_a_saturated_share_with_no_clear_effect_says_so():
     assert clear == ["lamp: +0.0090 ± 0.0010 percentage points"]
 
 
-@pytest.mark.parametrize(("exact", "is_far"), [(16.3, True), (11.6, False)])
-def test_a_relaxed_change_far_from_the_exact_one_is_no_guide(exact: float, is_far: bool):
-    dimmed = dataclasses.replace(change(-9.5, 0.4, predicted=-2.5), exact=exact, exact_error=0.3)
+@pytest.mark.parametrize(
+    ("exact", "missing", "is_far"),
+    [(16.3, 0.0, True), (11.6, 0.0, False), (11.6, 6.8, True), (11.6, 0.2, False)],
+)
+def test_a_relaxed_change_far_from_the_exact_one_is_no_guide(exact: float, missing: float, is_far: bool):
+    """Also where it is far from the exact one without the edges of lamps."""
+    dimmed = dataclasses.replace(
+        change(-9.5, 0.4, predicted=-2.5), exact=exact, exact_error=0.3, missing=missing
+    )
     parts = {"definition": Definition(19.6, "within 22", error=0.2), "changes": (dimmed,)}
     legend, *_ = lines(Explanation(rated(19.8, 0.1), **parts))["What would change it"]
     assert ("neither says much" in legend) == is_far
