@@ -182,9 +182,9 @@ def test_no_share_that_is_larger_than_one_that_is_named_is_part_of_the_rest():
 @pytest.mark.parametrize(
     ("measured", "missing", "said"),
     [
-        (-7.6, 6.4, "; but for the edges of lamps, by about −1.2"),
-        (-1.5, -2.0, "; but for the edges of lamps, by about −3.5"),
-        (-0.01, -24.0, ": within its noise; but for the edges of lamps, by about −24"),
+        (-7.6, 6.4, "; corrected for the edges of lamps, by about −1.2"),
+        (-1.5, -2.0, "; corrected for the edges of lamps, by about −3.5"),
+        (-0.01, -24.0, ": within its noise; corrected for the edges of lamps, by about −24"),
         (-7.6, 0.5, ""),  # a small part of the change
         (-0.2, 0.03, ""),  # within its noise
     ],

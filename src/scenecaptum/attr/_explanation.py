@@ -349,13 +349,13 @@ class Explanation:
         return f"{what} {before} → {self._in_unit(after)}{by} {effects}"
 
     def _with_edges(self, change: Change) -> str:
-        """Return about by how much a glare rating changes with what it lacks at the edges of lamps."""
+        """Return the change of a glare rating with what it lacks at the edges of lamps, if that is much."""
         by, error = change.measured or 0.0, change.measured_error
         if self.definition is not None and change.exact is not None:
             by, error = change.exact - self.definition.value, change.exact_error
         if not lacks_much(change.missing, by, error):
             return ""
-        return f"; but for the edges of lamps, by about {signed_roughly(by + change.missing)}"
+        return f"; corrected for the edges of lamps, by about {signed_roughly(by + change.missing)}"
 
     def _exact_difference(self, change: Change) -> str:
         """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""
