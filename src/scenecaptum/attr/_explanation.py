@@ -293,10 +293,9 @@ class Explanation:
         ]
 
     def _is_far_from_relaxed(self, change: Change) -> bool:
-        assert self.definition is not None
         if change.exact is None or change.measured is None:
             return False
-        by, error = change.exact - self.definition.value, change.exact_error
+        by, error = self._rendered_change(change)
         if lacks_much(change.missing, by, error):  # without the edges of lamps it is closer to the truth
             by += change.missing
         return are_far_apart(by, change.measured, error, change.measured_error)
@@ -350,19 +349,23 @@ class Explanation:
 
     def _with_edges(self, change: Change) -> str:
         """Return the change of a glare rating with what it lacks at the edges of lamps, if that is much."""
-        by, error = change.measured or 0.0, change.measured_error
-        if self.definition is not None and change.exact is not None:
-            by, error = change.exact - self.definition.value, change.exact_error
+        by, error = self._rendered_change(change)
         if not lacks_much(change.missing, by, error):
             return ""
         return f"; corrected for the edges of lamps, by about {signed_roughly(by + change.missing)}"
 
     def _exact_difference(self, change: Change) -> str:
         """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""
-        if self.definition is None or change.exact is None or not change.exact_error:
+        if change.exact is None or not change.exact_error:
             return ""
-        difference = change.exact - self.definition.value
-        return f", by {change_in_words(self.attribution, difference, change.exact_error)}"
+        by, error = self._rendered_change(change)
+        return f", by {change_in_words(self.attribution, by, error)}"
+
+    def _rendered_change(self, change: Change) -> tuple[float, float | None]:
+        """Return by how much the rendered metric changes, and its error: by the definition, if there is one."""
+        if self.definition is None or change.exact is None:
+            return change.measured or 0.0, change.measured_error
+        return change.exact - self.definition.value, change.exact_error
 
     def _goal_heading(self) -> str:
         if self.goal is None or self.goal.was_below:
