@@ -18,6 +18,7 @@ from scenecaptum.linearization._linearization import _denoise_signed
 
 LAMP = "light.emitter.radiance.value"
 WALL = "left_wall.reflectance.value"
+SKY = "sky.emitter.radiance.value"
 POSE = "tall_box_shape.pose.translation"
 THRESHOLD = 0.3  # of the pixels of the Cornell box: twice their mean
 
@@ -162,6 +163,30 @@ def test_a_slider_starts_at_the_scene_and_stays_physical(sliders, name, form):
 def test_what_is_no_place_is_refused(sliders, numbers):
     with pytest.raises(SceneCaptumError, match="wall_left"):
         sliders["wall_left.reflectance.value"].checked(numbers)
+
+
+@pytest.fixture(scope="module")
+def evening() -> Designs:
+    """The office without its sky, and a metric that is not linear in the light."""
+    renderer = SceneRenderer("office", inputs="emitters", resolution=(16, 9), spp=4, max_depth=3)
+    off = {**renderer.inputs, SKY: torch.zeros(3)}
+    return Designs(renderer, [_bright_share, metrics.MeanLuminance()], inputs=off, denoise=False)
+
+
+def test_the_slider_of_a_light_that_is_off_reaches_twice_its_value_in_the_scene(evening, sliders):
+    slider, own = evening.sliders[SKY], sliders[SKY].value
+    assert slider.start == (0.0, 0.0, 0.0)
+    assert (slider.low, slider.high) == (0.0, pytest.approx(2 * own.max().item()))
+    assert torch.equal(slider.tensor(slider.checked(own.tolist())), own)
+
+
+def test_a_light_that_is_off_leads_only_where_the_metric_is_linear_in_it(evening):
+    about = Linearization(evening, evening.measure({}))
+    about.rank()
+    bright, luminance = about.attributions
+    assert bright.ranked_last() == {SKY}
+    assert luminance.ranked_last() == set()
+    assert about.leading(9)[-1] == SKY
 
 
 def test_a_derivative_keeps_its_sign_and_its_mean_when_it_is_denoised(cornell):

@@ -132,6 +132,22 @@ def test_a_map_of_light_is_left_out_of_its_object_beside_its_scale(browser, tmp_
     assert explored["effects"][0][OBJECTS.index("chair")] == 4
 
 
+def test_an_explored_object_has_no_colour_for_a_light_that_is_off():
+    """To first order, the effect of switching it on may be far off."""
+    sky = with_sky()
+    ranges = {name: torch.ones(value.shape[-1:]) for name, value in sky.items()}
+    sky = dataclasses.replace(
+        sky,
+        attributions={**sky, "chair.data": torch.zeros(2, 2, 3)},  # the map of a light that is off
+        extents=ranges,
+        info={**sky.info, "lights_off": ["chair.scale"]},
+    )
+    linear = dataclasses.replace(sky, info={**sky.info, "linear_in_light": True})
+    assert sky.surfaces is not None
+    explored = describe_objects(sky.surfaces, sky, [sky, linear])
+    assert [effects[OBJECTS.index("chair")] for effects in explored["effects"]] == [0, 4]
+
+
 def with_texels() -> SceneAttribution:
     """The chair has a texture of 2 × 2 texels; its upper left texel lowers the metric and is on the left."""
     attribution = make()

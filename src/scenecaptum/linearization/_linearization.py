@@ -116,7 +116,11 @@ class Linearization:
             one if noise is None else self._over_ranges(number, self._with_picture_noise(one, noise), noise)
             for number, (one, noise) in enumerate(zip(found, deviations, strict=True))
         ]
-        self.attributions = [self._as_measured(number, one) for number, one in enumerate(found)]
+        # That to first order is linear in the light, whatever the metric is.
+        self.attributions = [
+            self._as_measured(number, one, linear_in_light=noise is None)
+            for number, (one, noise) in enumerate(zip(found, deviations, strict=True))
+        ]
 
     def _over_ranges(
         self, number: int, attribution: SceneAttribution, noise: torch.Tensor
@@ -176,11 +180,11 @@ class Linearization:
         info = {**attribution.info, "degrees_of_freedom": REPLICATES - 1}
         return dataclasses.replace(attribution, standard_error=errors, covariance=covariance, info=info)
 
-    def _as_measured(self, number: int, attribution: SceneAttribution) -> SceneAttribution:
-        """Return an attribution of a metric to first order with the metric itself at the start."""
+    def _as_measured(self, number: int, attribution: SceneAttribution, **info: object) -> SceneAttribution:
+        """Return an attribution of a metric to first order with the metric itself at the start, and more info."""
         value, error = self.start.value(number)
-        info = {**attribution.info, **self.designs.metrics[number].describe(value, self.start.image)}
         image = self.start.image
+        info = {**attribution.info, **self.designs.metrics[number].describe(value, image), **info}
         return dataclasses.replace(
             attribution,
             metric_value=value,

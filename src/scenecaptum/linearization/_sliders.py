@@ -122,10 +122,11 @@ class Slider:
         return totals.sum(1, keepdim=True) if self.form == "offset" else totals
 
 
-def make_slider(parameter: Parameter, value: torch.Tensor) -> Slider:
-    """Return the slider of a parameter with this value in the scene."""
+def make_slider(parameter: Parameter, value: torch.Tensor, own: torch.Tensor) -> Slider:
+    """Return the slider of a parameter with this value; ``own`` is that of the scene before any change."""
     form, bounds = _form(parameter, value), (_lowest(parameter), parameter.bounds.high)
-    low, high = _ends(parameter, value)
+    # What was switched off goes as far as what is on, so that it can be switched on again.
+    low, high = _ends(parameter, value if value.any() else own)
     start = tuple(value.reshape(-1).tolist())
     if form == "dimmer":
         low, high, start = 0.0, 2.0, (1.0,)

@@ -191,11 +191,15 @@ def different_values(before: Attribution, after: Attribution) -> list[str]:
 def describe_objects(
     surfaces: SurfaceMap, movable: Collection[str], attributions: Sequence[Attribution]
 ) -> dict[str, Any]:
-    """Return what each pixel shows, which of some parameters change it, and the signed effects of each object."""
+    """Return what each pixel shows, which of some parameters change it, and the signed effects of each object.
+
+    Effects that say little of their ranges, those of ``ranked_last``, are no part of an object's.
+    """
     view, shown = _view(surfaces)
     signed = []
     for attribution in attributions:
-        effects = attribution.effects()
+        last = attribution.ranked_last()
+        effects = {name: 0.0 if name in last else one for name, one in attribution.effects().items()}
         used = used_by_objects(attribution, surfaces, mapped_parameters(attribution))
         signed.append([sum(effects[name] for name in used[index]) for index in shown])
     parameters = [[name for name in surfaces.parameters[index] if name in movable] for index in shown]
