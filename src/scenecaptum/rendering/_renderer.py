@@ -1230,7 +1230,8 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
                 raise SceneCaptumError(
                     f"{name!r} is {worst:.6g}, outside the physical range {bounds} of its kind "
                     f"({self._table[name].kind}). Clamp it before rendering, with renderer.clamp_(inputs). "
-                    'For noise that Captum adds: renderer.as_captum(metric, bounds="reflect").'
+                    'For noise that Captum adds: renderer.as_captum(metric, bounds="reflect"). For ablations and '
+                    "paths of Captum, whose baselines are 0 by default: pass it baselines=."
                 )
 
     def extra_repr(self) -> str:
