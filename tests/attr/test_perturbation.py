@@ -668,15 +668,18 @@ def test_the_material_of_one_shape_names_it_unless_the_shape_has_that_name(mi):
         "type": "scene",
         "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}},
         "sky": {"type": "constant"},
+        "bulb": {"type": "point"},  # of no object in the picture
         "Floor": paint,
         "table": paint,
         "Mesh056": {"type": "sphere", "center": [0, 0, 4], "bsdf": {"type": "ref", "id": "Floor"}},
         "table_top": {"type": "sphere", "center": [1, 0, 4], "bsdf": {"type": "ref", "id": "table"}},
     }
-    renderer = SceneRenderer(room, inputs="reflectance")
+    renderer = SceneRenderer(room, inputs=["reflectance", "emitters"])
     assert resolve_groups(renderer, renderer.inputs, "object") == {
         "Floor (Mesh056)": ("Floor.reflectance.value",),
         "table_top": ("table.reflectance.value",),
+        "sky (background)": ("sky.radiance.value",),
+        "bulb": ("bulb.intensity.value",),
     }
 
 

@@ -130,7 +130,7 @@ def _by_object(
         owners = {table[name].owners for name in members}
         owner = ", ".join(owners.pop()) if len(owners) == 1 else group
         # The group of desk_top alone needs no "desk", but what is Mesh056?
-        is_named = owner in group and len(objects_using.get(members[0], ())) == 1
+        is_named = owner == group or (owner in group and len(objects_using.get(members[0], ())) == 1)
         return group if is_named else f"{owner} ({group})"
 
     return {named(group, members): members for group, members in grouped.items()}
