@@ -21,6 +21,10 @@ def test_objects_of_shapes() -> None:
     assert set(stems([*unnamed, "rectangle_frame"]).values()) == {"rectangle"}
     lamps = ["lamp_left", "lamp_left_rod", "lamp_right", "lamp_right_rod_a"]
     assert list(stems(lamps).values()) == ["lamp_left", "lamp_left", "lamp_right", "lamp_right"]
+    walls = ["mat-Wall_rectangle", "mat-Wall_rectangle_2"]
+    assert list(stems([*walls, "mat-Blend_sphere"]).values()) == [walls[0], walls[0], "mat-Blend"]
+    assert set(stems(["mesh-Chair_leg", "mesh-Chair_seat"]).values()) == {"mesh-Chair"}
+    assert list(stems(["mesh_1", "mesh_2"]).values()) == ["mesh_1", "mesh_2"]
     assert set(stems(["lamp_foot", "lamp_foot_top", "lamp_arm"]).values()) == {"lamp"}
 
 

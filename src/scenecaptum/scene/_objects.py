@@ -19,6 +19,8 @@ from ._naming import plugin_name
 
 Objects: TypeAlias = "Mapping[str, str | Sequence[str]]"
 
+# What exporters begin the names of all shapes, or of all materials, with.
+_EXPORTED = re.compile(r"(mat|mesh|elm|shape)[_\-. ]+(?=[^\W\d_])")
 _ALL = ("translation", "rotation", "scale")
 _NO_SIZE, _FAR = "it has no size", "its light comes from infinitely far away"
 # By class name, what of a light's pose does not change its light, and why.
@@ -149,7 +151,8 @@ def _volume(one: SceneObject) -> float:
 def stems(names: Iterable[str]) -> dict[str, str]:
     """Return the object of each shape, from the names of all shapes.
 
-    This is the first word of the name: ``chair_seat`` and ``chair_leg_2`` belong to ``chair``. Shapes with the
+    This is the first word of the name: ``chair_seat`` and ``chair_leg_2`` belong to ``chair``, ``mesh-chair_seat``
+    to ``mesh-chair``. Shapes with the
     same first word are divided further where that works for all of them: into ``chair_1`` and ``chair_2``, or
     ``chair`` and ``chair_2``, if all have a number or nothing next, and into ``lamp_left`` and ``lamp_right`` if
     the name of each begins with that of one of them.
@@ -185,13 +188,21 @@ def _begins(words: tuple[str, ...], beginning: tuple[str, ...]) -> bool:
 
 
 def _words(name: str) -> tuple[str, ...]:
-    return tuple(re.split(r"[_\-. ]+", name.strip("_-. ")))
+    return tuple(_parts(name)[::2])
 
 
 def _spelling(name: str, count: int) -> str:
     """Return the first words of a name with the separators between them."""
-    parts = re.split(r"([_\-. ]+)", name.strip("_-. "))
-    return "".join(parts[: 2 * count - 1])
+    return "".join(_parts(name)[: 2 * count - 1])
+
+
+def _parts(name: str) -> list[str]:
+    """Return the words of a name and the separators between; the prefix of an exporter is part of the first."""
+    name = name.strip("_-. ")
+    exported = _EXPORTED.match(name)
+    begin = exported.end() if exported else 0
+    first, *others = re.split(r"([_\-. ]+)", name[begin:])
+    return [name[:begin] + first, *others]
 
 
 def _group(names: Sequence[str], objects: Objects) -> dict[str, list[str]]:
