@@ -125,8 +125,10 @@ class SceneAttribution(AttributionData):
 
         Results with the same seed and samples use common random numbers, so the errors of their totals are
         computed from the differences of their replicates, and so is that of the metric's value. Otherwise, and for
-        single texels, they are treated as independent. A parameter whose range differs, as that of a lamp that was
-        dimmed, has the difference of its effects, each over its own range, in place of that of its gradients.
+        single texels, they are treated as independent. Errors are smallest where one renderer gave both, at two
+        sets of ``inputs``: two renderers spread the samples of gradients differently. A parameter whose range
+        differs, as that of a lamp that was dimmed, has the difference of its effects, each over its own range, in
+        place of that of its gradients.
 
         Raises
         ------
