@@ -81,11 +81,10 @@ class EffectSentences:
             return jumps
         marks, legend = self._marks([row.name for row in stated])
         allowed = self._allowed_errors()
-        unsure = f"sign clear, {UNSURE_SIZE}" if self.attribution.kind.has_sign else UNSURE_SIZE
         lines = [
             f"{in_words(row.label)}: {effect_in_words(self.attribution, row)}{self._along(row.name)}"
             f"{f' {marks[row.name]}' if row.name in marks else ''}"
-            f"{'' if _exceeds(row, allowed) else f' ({unsure})'}"
+            f"{'' if _exceeds(row, allowed) else self._unsure(row.name)}"
             for row in stated
         ]
         above, below = self._larger_lines(unclear, abs(stated[0].effect))
@@ -177,6 +176,11 @@ class EffectSentences:
             return []
         more = f" and {pluralize(len(named) - MOST_NAMED, 'other')}" if len(named) > MOST_NAMED else ""
         return [f"larger than the last of these, but uncertain: {', '.join(named[:MOST_NAMED])}{more}"]
+
+    def _unsure(self, name: str) -> str:
+        """Say that the size of an effect is uncertain; a pose has its largest effect, in any direction."""
+        has_sign = self.attribution.kind.has_sign and pose_component(name) is None
+        return f" (sign clear, {UNSURE_SIZE})" if has_sign else f" ({UNSURE_SIZE})"
 
     def _along(self, name: str) -> str:
         """Return the change of a pose that has its effect, such as ``" over ±0.05 units towards (0, −1, 0)"``.
