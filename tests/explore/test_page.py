@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from chance import allowed, together
 from seeds import shifted
 
@@ -18,6 +19,7 @@ from scenecaptum import SceneRenderer, cli, explore, metrics
 from scenecaptum.attr import Explanation
 from scenecaptum.explanation import definition_of
 from scenecaptum.explore import Exploration, Server
+from scenecaptum.explore._session import RECIPE
 from scenecaptum.metrics import Band, Measure
 from scenecaptum.visualization import automatic_exposure, display_image, format_with_error, signed_with_error
 
@@ -25,6 +27,7 @@ from .windows import REPLICATES, Window, last_render, number, run, served, wait_
 
 LAMP = "light.emitter.radiance.value"
 WALL = "left_wall.reflectance.value"
+SKY = "sky.emitter.radiance.value"
 BOX = "tall_box_shape.pose.translation"
 
 
@@ -359,6 +362,7 @@ def test_no_number_is_a_negative_zero(window):
     code = (Path(explore.__file__).parent / "page" / "explore.js").read_text(encoding="utf-8")
     functions = code[code.index("const minus") : code.index("const short")]
     numbers = [(-0.01, 1.6), (0.01, 1.6), (-1.2, 1.6), (-1e-9, 1000.0), (-0.07, 0.6)]
+    numbers += [(1.8e-9, 1.3e-9), (-4.56e-6, 3e-8), (-2e-12, 1.3e-9), (-1.2e-5, 3e-6)]
     write = "([value, error]) => withError(value, error, true)"
     written = window.page.evaluate(
         f"numbers => {{ {functions} return numbers.map({write}); }}",
@@ -366,6 +370,32 @@ def test_no_number_is_a_negative_zero(window):
     )
     assert written == [signed_with_error(*one) for one in numbers]
     assert written[0] == "0.0 ± 1.6"
+
+
+def test_what_a_light_that_is_off_does_to_a_rating_is_in_doubt(browser):
+    renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
+    evening = {**renderer.inputs, SKY: torch.zeros(3)}
+    named = {"glare": metrics.UnifiedGlareRating(renderer.camera), "brightness": metrics.MeanLuminance()}
+    recipe = dict(RECIPE, changed=[SKY], inputs=["emitters"])
+    options = {"inputs": evening, "recipe": recipe, "spp": 16, "seed": shifted()}
+    with served(Exploration(renderer, named, **options)) as server:
+        window = Window(browser, server)
+        wait_for(lambda: window.all("slider").count() >= 2 and not window.all("slider[data-waiting]").count())
+        wait_for(lambda: window.text("status") == "")
+        assert "~ off, and UGR is not linear in the light" in window.slider(SKY).inner_text()
+        window.page.get_by_role("button", name="Copy as command line").click()
+        assert window.page.get_by_label("Code").input_value().count("--inputs") == 1
+        glare, brightness = window.range(SKY).evaluate(  # before any render
+            """async (slider) => {
+                slider.value = slider.max / 2;
+                slider.dispatchEvent(new Event("input", { bubbles: true }));
+                await new Promise(requestAnimationFrame);
+                return [...document.querySelectorAll("[data-part=change]")].map((one) => one.textContent);
+            }"""
+        )
+        assert glare.endswith("predicted ~ may be far off")
+        assert brightness.endswith("predicted")
+        window.close()
 
 
 def test_a_new_start_is_taken(window):

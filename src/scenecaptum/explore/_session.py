@@ -350,6 +350,7 @@ class Exploration:
             **{key: getattr(slider, key) for key in ("name", "label", "form", "low", "high", "start")},
             effects=[None if row is None else [row.effect, row.effect_error] for row in rows],
             doubts=[doubts_about(attribution, slider.name) for attribution in attributions],
+            isLast=[slider.name in attribution.ranked_last() for attribution in attributions],
             gradients=[{"rows": one.rows.tolist(), "turned": one.turned.tolist()} for one in gradients],
             scales=[scale for scale, _ in encoded],
         )

@@ -29,15 +29,23 @@ function make(tag, attributes = {}, ...children) {
 const button = (text, onclick, attributes = {}) => make("button", { type: "button", onclick, ...attributes }, text);
 
 const minus = (text) => text.replaceAll("-", "−");
+const [SMALL, DECIMALS] = [1e-3, 6]; // smaller numbers with more decimals are in scientific notation
 const exponent = (number) => Number(number.toExponential(3).split("e")[1]); // after rounding
 
-/** Write a value to the digits that its error leaves: ``["0.0978", "0.0008"]``. */
+/** Write a value to the digits that its error leaves: ``["0.0978", "0.0008"]``; as tables do, small ones times 10ⁿ. */
 function written(value, error, signed = false) {
   const usable = Number.isFinite(error) && error > 0;
   const last = usable ? (error < 3.55 * 10 ** exponent(error) ? 1 : 0) - exponent(error) : 3 - exponent(value || 1);
-  const digits = Math.min(Math.max(last, 0), 12);
-  const text = value.toFixed(digits).replace(/^-(?=[0.]+$)/, ""); // never −0.0
-  return [minus(signed && Number(text) > 0 ? `+${text}` : text), usable ? error.toFixed(digits) : ""];
+  const size = Math.max(Math.abs(value), usable ? error : 0);
+  const power = size > 0 && size < SMALL && (size < SMALL / 100 || last > DECIMALS) ? exponent(size) : 0;
+  const digits = Math.min(Math.max(last + power, 0), 12);
+  const write = (number) => {
+    const text = (number / 10 ** power).toFixed(digits).replace(/^-(?=[0.]+$)/, ""); // never −0.0
+    if (!power) return minus(text);
+    return Number(text) ? minus(`${text}e${power}`) : "0"; // no power of ten of zero
+  };
+  const text = write(value);
+  return [signed && value > 0 && /[1-9]/.test(text.split("e")[0]) ? `+${text}` : text, usable ? write(error) : ""];
 }
 
 const withError = (value, error, signed) => written(value, error, signed).filter(Boolean).join(" ± ");
@@ -402,10 +410,13 @@ class Page {
         label: this.rendered.rough ? "Rendered roughly" : "Rendered",
       };
     }
-    const moves = [...this.sliders.values()].some(
-      (one) => !one.images.length && !same(this.place(one), this.place(one, this.base.design)),
-    );
+    const moves = this.moved().some((one) => !one.images.length);
     return { ...this.base, picture, label: isStart ? "Rendered" : moves ? "Predicted, without moves" : "Predicted" };
+  }
+
+  /** Return the sliders that stand elsewhere than at the start. */
+  moved() {
+    return [...this.sliders.values()].filter((one) => !same(this.place(one), this.place(one, this.base.design)));
   }
 
   drawPicture() {
@@ -440,7 +451,8 @@ class Page {
       verdict.textContent = now ? (now.verdict ?? (metric.hasClasses ? unknown : "")) : "";
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
-      change.textContent = changed ? `${withError(changed.change, changed.error, true)}${metric.changeUnit && ` ${metric.changeUnit}`} ${how}` : "";
+      const isDoubtful = !now?.change && this.moved().some((one) => one.isLast[index]);
+      change.textContent = changed ? `${withError(changed.change, changed.error, true)}${metric.changeUnit && ` ${metric.changeUnit}`} ${how}${isDoubtful ? " ~ may be far off" : ""}` : "";
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
       note.textContent = isOff
@@ -845,10 +857,10 @@ class Page {
     this.parts.name.value = "";
   }
 
-  /** Return the inputs of a renderer for code: the parameters that differ from those of the scene file. */
+  /** Return the inputs for code: the parameters that differ from those of the scene file; those of the page at rest. */
   changed() {
-    const names = [...new Set([...this.scene.recipe.changed, ...Object.keys(this.design)])];
-    return names.length ? names : this.scene.recipe.inputs;
+    const moved = Object.keys(this.design);
+    return moved.length ? [...new Set([...this.scene.recipe.changed, ...moved])] : this.scene.recipe.inputs;
   }
 
   python() {
@@ -859,7 +871,7 @@ class Page {
       if (OPERATORS[form]) return `${key} = ${key} ${OPERATORS[form]} ${numbers[0]}`;
       return `${key} = torch.tensor(${form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
     });
-    const inputs = JSON.stringify(this.changed());
+    const inputs = JSON.stringify([...new Set([...this.changed(), ...this.scene.recipe.changed])]); // it sets these
     return [
       python.replace("{inputs}", () => inputs),
       ...changes,
