@@ -125,8 +125,7 @@ class Slider:
 def make_slider(parameter: Parameter, value: torch.Tensor, own: torch.Tensor) -> Slider:
     """Return the slider of a parameter with this value; ``own`` is that of the scene before any change."""
     form, bounds = _form(parameter, value), (_lowest(parameter), parameter.bounds.high)
-    # What was switched off goes as far as what is on, so that it can be switched on again.
-    low, high = _ends(parameter, value if value.any() else own)
+    low, high = _ends(parameter, value, own)
     start = tuple(value.reshape(-1).tolist())
     if form == "dimmer":
         low, high, start = 0.0, 2.0, (1.0,)
@@ -151,8 +150,11 @@ def _form(parameter: Parameter, value: torch.Tensor) -> Form:
     return "offset" if value.ndim else "scalar"
 
 
-def _ends(parameter: Parameter, value: torch.Tensor) -> tuple[float, float]:
-    """Return the ends of a slider: the bounds, the range of effects if those are infinite, or twice the value."""
+def _ends(parameter: Parameter, value: torch.Tensor, own: torch.Tensor) -> tuple[float, float]:
+    """Return the ends of a slider: the bounds, the range of effects if those are infinite, or twice the value.
+
+    What was switched off goes to twice its own value, so that it can be switched on again.
+    """
     bounds, over = parameter.bounds, parameter.range
     low = _lowest(parameter)
     if parameter.moves:
@@ -160,7 +162,8 @@ def _ends(parameter: Parameter, value: torch.Tensor) -> tuple[float, float]:
         return max(middle + FAR * over.low, low), min(middle + FAR * over.high, bounds.high)
     if math.isfinite(low) and math.isfinite(bounds.high):
         return low, bounds.high
-    least, most = (float(extreme) for extreme in (value.min(), value.max()))
+    reached = value if value.any() else own
+    least, most = (float(extreme) for extreme in (reached.min(), reached.max()))
     if math.isfinite(over.low) and math.isfinite(over.high):
         return min(over.low, least), max(over.high, most)
     return low if math.isfinite(low) else min(0.0, 2 * least), 2 * most if most > 0 else 1.0
