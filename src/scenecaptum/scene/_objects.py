@@ -152,10 +152,9 @@ def stems(names: Iterable[str]) -> dict[str, str]:
     """Return the object of each shape, from the names of all shapes.
 
     This is the first word of the name: ``chair_seat`` and ``chair_leg_2`` belong to ``chair``, ``mesh-chair_seat``
-    to ``mesh-chair``. Shapes with the
-    same first word are divided further where that works for all of them: into ``chair_1`` and ``chair_2``, or
-    ``chair`` and ``chair_2``, if all have a number or nothing next, and into ``lamp_left`` and ``lamp_right`` if
-    the name of each begins with that of one of them.
+    to ``mesh-chair``. Shapes with the same first word are divided further where that works for all of them: into
+    ``chair_1`` and ``chair_2``, or ``chair`` and ``chair_2``, if all have a number or nothing next, and into
+    ``lamp_left`` and ``lamp_right`` if the name of each begins with that of one of them.
     """
     by_word: dict[str, list[str]] = {}
     for name in names:
