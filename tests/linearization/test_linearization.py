@@ -186,6 +186,8 @@ def test_a_light_that_is_off_leads_only_where_the_metric_is_linear_in_it(evening
     bright, luminance = about.attributions
     assert bright.ranked_last() == {SKY}
     assert luminance.ranked_last() == set()
+    assert SKY in about.leading(2)  # it leads for the luminance
+    about.attributions = [bright]
     assert about.leading(9)[-1] == SKY
 
 

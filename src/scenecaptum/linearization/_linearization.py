@@ -203,18 +203,20 @@ class Linearization:
         return found
 
     def leading(self, count: int) -> list[str]:
-        """Return the parameters with the largest effects on any metric, relative to the largest on this metric."""
-        best: dict[str, float] = {}
-        last: set[str] = set()
+        """Return the parameters with the largest effects on any metric, relative to the largest on this metric.
+
+        Those whose effects say little of their ranges for every metric come last; what has no effect is left out.
+        """
+        best: dict[str, tuple[bool, float]] = {}  # the lowest comes first
         for attribution in self.attributions:
-            last |= attribution.ranked_last()
-            # Effects that say little of their ranges come last; what has no effect at all is left out.
+            last = attribution.ranked_last()
             rows = [row for row in attribution.ranking() if row.name in self.designs.sliders]
-            most = max((row.saliency for row in rows), default=0.0) or 1.0
+            most = max((row.saliency for row in rows if row.name not in last), default=0.0) or 1.0
             for row in rows:
                 if row.saliency or row.saliency_error:
-                    best[row.name] = max(best.get(row.name, 0.0), row.saliency / most)
-        return sorted(best, key=lambda name: (name in last, -best[name]))[:count]
+                    place = (row.name in last, -row.saliency / most)
+                    best[row.name] = min(best.get(row.name, place), place)
+        return sorted(best, key=lambda name: best[name])[:count]
 
     def derive(self, slider: Slider) -> Derivative:
         """Compute the derivatives of the picture, by differences with the random numbers of the start.
