@@ -28,6 +28,7 @@ from .windows import REPLICATES, Window, last_render, number, run, served, wait_
 LAMP = "light.emitter.radiance.value"
 WALL = "left_wall.reflectance.value"
 SKY = "sky.emitter.radiance.value"
+LEFT = "luminaire_left.emitter.radiance.value"
 BOX = "tall_box_shape.pose.translation"
 
 
@@ -330,7 +331,7 @@ def test_a_slider_that_leads_for_another_metric_and_a_relaxed_rating_say_so(brow
 
 def test_the_design_as_python_gives_the_same_metric(window):
     window.set(LAMP, 0.6)
-    window.slider(WALL).locator("input[type=color]").fill("#4060c0")
+    window.slider(WALL).locator("input[type=color]").fill("#ffff00")  # of whole numbers: 1, 1, 0
     described = confirmed(window)["metrics"]
     window.page.get_by_role("button", name="Copy as Python").click()
     script = window.page.evaluate("navigator.clipboard.readText()")
@@ -376,7 +377,11 @@ def test_what_a_light_that_is_off_does_to_a_rating_is_in_doubt(browser):
     renderer = SceneRenderer("office", "emitters", resolution=(32, 18), spp=16, max_depth=3)
     evening = {**renderer.inputs, SKY: torch.zeros(3)}
     named = {"glare": metrics.UnifiedGlareRating(renderer.camera), "brightness": metrics.MeanLuminance()}
-    recipe = dict(RECIPE, changed=[SKY], inputs=["emitters"])
+    given = [
+        {"name": SKY, "operator": "", "numbers": [0.0]},
+        {"name": LEFT, "operator": "*", "numbers": [0.5]},
+    ]
+    recipe = dict(RECIPE, settings=given, changed=[SKY, LEFT], inputs=["emitters"])
     options = {"inputs": evening, "recipe": recipe, "spp": 16, "seed": shifted()}
     with served(Exploration(renderer, named, **options)) as server:
         window = Window(browser, server)
@@ -395,6 +400,10 @@ def test_what_a_light_that_is_off_does_to_a_rating_is_in_doubt(browser):
         )
         assert glare.endswith("predicted ~ may be far off")
         assert brightness.endswith("predicted")
+        window.set(LEFT, 0.5)
+        window.page.get_by_role("button", name="Copy as command line").click()
+        copied = window.page.get_by_label("Code").input_value()
+        assert re.findall(r"--set '(.*)'", copied) == [f"{SKY}=22,0,0", f"{LEFT}*=0.25"]
         window.close()
 
 

@@ -145,12 +145,12 @@ def _recipe(
     words += [
         word for name, shapes in options.objects or () for word in ("--object", f"{name}={','.join(shapes)}")
     ]
-    words += [word for key, value in options.settings or () for word in ("--set", f"{key}={_joined(value)}")]
     return {
         "python": "\n".join(python),
         "metrics": [_metric_code(name, metric, options) for name, metric in metrics.items()],
         "attribute": f"values, target={options.target!r}" if options.target is not None else "values",
         "command": shlex.join(words),
+        "settings": [_setting(key, value) for key, value in options.settings or ()],
         "changed": [key.rstrip("".join(CHANGES)) for key in settings],
         "inputs": _arguments.selection(options),
     }
@@ -183,9 +183,11 @@ def _setting_code(key: str, value: Any, design: Path | None) -> str:
     )
 
 
+def _setting(key: str, value: Any) -> dict[str, Any]:
+    """Return a ``--set`` in parts, for a page that moves its parameter further."""
+    operator = key[-1] if key[-1:] in CHANGES else ""
+    return {"name": key.removesuffix(operator), "operator": operator, "numbers": value}
+
+
 def _flag(option: str) -> str:
     return f"--{option.replace('_', '-')}"
-
-
-def _joined(numbers: Any) -> str:
-    return ",".join(f"{number:g}" for number in numbers)

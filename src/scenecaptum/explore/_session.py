@@ -42,7 +42,7 @@ RECIPE: Mapping[str, Any] = {
         "attribute": "values",
         "command": "scenecaptum attribute",
     },
-    **{"changed": [], "inputs": ["all"]},
+    **{"settings": [], "changed": [], "inputs": ["all"]},
 }
 
 

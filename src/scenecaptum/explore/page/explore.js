@@ -869,7 +869,8 @@ class Page {
       const { form } = this.sliders.get(name);
       const [key, numbers] = [`values[${JSON.stringify(name)}]`, place.map(short)];
       if (OPERATORS[form]) return `${key} = ${key} ${OPERATORS[form]} ${numbers[0]}`;
-      return `${key} = torch.tensor(${form === "scalar" ? numbers[0] : JSON.stringify(numbers)})`;
+      const value = form === "scalar" ? numbers[0] : JSON.stringify(numbers);
+      return `${key} = torch.tensor(${value}, dtype=torch.float32)`; // [15,18,22] would be integers
     });
     const inputs = JSON.stringify([...new Set([...this.changed(), ...this.scene.recipe.changed])]); // it sets these
     return [
@@ -881,12 +882,24 @@ class Page {
     ].join("\n");
   }
 
+  /** Return the changes of the command that made the page, with those of the design in their place. */
+  settings() {
+    const settings = new Map(this.scene.recipe.settings.map((one) => [one.name, one]));
+    for (const [name, place] of Object.entries(this.design)) {
+      const [given, operator] = [settings.get(name), OPERATORS[this.sliders.get(name).form] ?? ""];
+      const combine = { "*": (number) => number * place[0], "+": (number) => number + place[0] }[operator];
+      if (!given || !combine) settings.set(name, { name, operator, numbers: place });
+      else if (["", operator].includes(given.operator)) settings.set(name, { ...given, numbers: given.numbers.map(combine) });
+      else settings.set(name + operator, { name, operator, numbers: place }); // a factor and a sum: the command refuses both
+    }
+    return [...settings.values()];
+  }
+
   command() {
     const quote = (text) => `'${text.replaceAll("'", "'\\''")}'`;
     const inputs = this.changed().map((name) => `--inputs ${quote(name)}`);
-    const operator = (name) => OPERATORS[this.sliders.get(name).form] ?? "";
-    const changes = Object.entries(this.design).map(
-      ([name, place]) => `--set ${quote(`${name}${operator(name)}=${place.map(short).join(",")}`)}`,
+    const changes = this.settings().map(
+      ({ name, operator, numbers }) => `--set ${quote(`${name}${operator}=${numbers.map(short).join(",")}`)}`,
     );
     return [this.scene.recipe.command, ...inputs, ...changes].join(" \\\n  ") + "\n";
   }
