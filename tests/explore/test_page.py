@@ -382,7 +382,7 @@ def test_what_a_light_that_is_off_does_to_a_rating_is_in_doubt(browser):
         {"name": LEFT, "operator": "*", "numbers": [0.5]},
     ]
     recipe = dict(RECIPE, settings=given, changed=[SKY, LEFT], inputs=["emitters"])
-    options = {"inputs": evening, "recipe": recipe, "spp": 16, "seed": shifted()}
+    options = {"inputs": evening, "recipe": recipe, "spp": 16, "seed": shifted(), "top": 1}
     with served(Exploration(renderer, named, **options)) as server:
         window = Window(browser, server)
         wait_for(lambda: window.all("slider").count() >= 2 and not window.all("slider[data-waiting]").count())

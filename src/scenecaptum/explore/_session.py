@@ -95,6 +95,8 @@ class Exploration:
         self._starts = 0  # how many there have been
         self._top = whole_number("top", top)
         self._premises = premises
+        # What was changed for the page may be moved on it, whatever its effect is.
+        self._changed = [name for name in recipe["changed"] if name in self.designs.sliders]
         self._design: Design = {}
         self._version = self._confirmed = 0  # of the design: the latest, and the one that was rendered last
         self._rendering: int | None = None  # the version that is being rendered
@@ -284,7 +286,8 @@ class Exploration:
         about.rank()
         objects = describe_objects(about.surfaces, self.designs.sliders, about.attributions)
         self.channel.publish("objects", **objects)
-        sliders = [self._slider(name) for name in dict.fromkeys([*about.leading(self._top), *self._shown()])]
+        names = dict.fromkeys([*about.leading(self._top), *self._changed, *self._shown()])
+        sliders = [self._slider(name) for name in names]
         for slider in sliders:
             self._publish_slider(slider)
         for slider in sliders:
