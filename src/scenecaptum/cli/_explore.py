@@ -151,7 +151,7 @@ def _recipe(
         "attribute": f"values, target={options.target!r}" if options.target is not None else "values",
         "command": shlex.join(words),
         "settings": [_setting(key, value) for key, value in options.settings or ()],
-        "changed": [key.rstrip("".join(CHANGES)) for key in settings],
+        "changed": [_parts(key)[0] for key in settings],
         "inputs": _arguments.selection(options),
     }
 
@@ -176,8 +176,8 @@ def _setting_code(key: str, value: Any, design: Path | None) -> str:
     """Return code for a value of a design; a texture is read from the file."""
     is_texture = isinstance(value, list) and any(isinstance(one, list) for one in value)
     written = f"designs.read_design(Path({str(design)!r}))[{key!r}]" if is_texture else repr(value)
-    name, given = f"values[{key.rstrip(''.join(CHANGES))!r}]", f"torch.tensor({written})"
-    operator = key[-1] if key[-1:] in CHANGES else ""
+    of, operator = _parts(key)
+    name, given = f"values[{of!r}]", f"torch.tensor({written})"
     return (
         f"{name} = {name} {operator} {given}" if operator else f"{name} = torch.zeros_like({name}) + {given}"
     )
@@ -185,8 +185,14 @@ def _setting_code(key: str, value: Any, design: Path | None) -> str:
 
 def _setting(key: str, value: Any) -> dict[str, Any]:
     """Return a ``--set`` in parts, for a page that moves its parameter further."""
+    name, operator = _parts(key)
+    return {"name": name, "operator": operator, "numbers": value}
+
+
+def _parts(key: str) -> tuple[str, str]:
+    """Return the name and the operator of a change: ``"lamp.radiance.value*"`` has ``"*"``."""
     operator = key[-1] if key[-1:] in CHANGES else ""
-    return {"name": key.removesuffix(operator), "operator": operator, "numbers": value}
+    return key.removesuffix(operator), operator
 
 
 def _flag(option: str) -> str:

@@ -37,12 +37,12 @@ LARGEST = 32768.0  # half precision ends at 65504
 
 # How a page writes a design as code, where it is not told: see ``cli/_explore.py``.
 RECIPE: Mapping[str, Any] = {
-    **{
-        "python": "values = renderer.inputs  # {inputs}",
-        "attribute": "values",
-        "command": "scenecaptum attribute",
-    },
-    **{"settings": [], "changed": [], "inputs": ["all"]},
+    "python": "values = renderer.inputs  # {inputs}",
+    "attribute": "values",
+    "command": "scenecaptum attribute",
+    "settings": [],
+    "changed": [],
+    "inputs": ["all"],
 }
 
 
@@ -63,8 +63,8 @@ class Exploration:
     recipe
         How a page writes a design as code: lines of ``python`` that create ``renderer``, whose inputs are
         ``{inputs}``, and ``values``; an expression for each of the ``metrics``; the arguments of ``attribute``; a
-        ``command``; the names of the parameters that these have ``changed`` already; and the ``inputs`` if the
-        page changes none.
+        ``command``; its ``settings``, each with ``name``, ``operator`` and ``numbers``; the names of the
+        parameters that these have ``changed`` already; and the ``inputs`` if the page changes none.
     premises
         What pages say of the picture of each metric, beside what the metric takes for granted.
     options

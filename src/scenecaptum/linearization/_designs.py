@@ -120,10 +120,9 @@ class Designs:
         self.inputs = input_values(renderer, inputs)
         self.metrics = [TargetedMetric(metric, target) for metric in metrics]
         self.sliders = {
-            name: make_slider(parameter, self.inputs.get(name, own), own)
+            name: make_slider(parameter, renderer.own_value(name), self.inputs.get(name))
             for name, parameter in renderer.parameters.items()
             if not parameter.problem and parameter.is_used
-            for own in [renderer.own_value(name)]
         }
         self.seeds = derived_seeds(seed, Stream.SCENES, REPLICATES)
         self._spp = math.ceil(whole_number("spp", spp) / REPLICATES)

@@ -116,7 +116,7 @@ class Linearization:
             one if noise is None else self._over_ranges(number, self._with_picture_noise(one, noise), noise)
             for number, (one, noise) in enumerate(zip(found, deviations, strict=True))
         ]
-        # That to first order is linear in the light, whatever the metric is.
+        # They are of the metric to first order, which is linear in the light whatever the metric is.
         self.attributions = [
             self._as_measured(number, one, linear_in_light=noise is None)
             for number, (one, noise) in enumerate(zip(found, deviations, strict=True))

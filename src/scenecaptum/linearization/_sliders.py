@@ -122,8 +122,9 @@ class Slider:
         return totals.sum(1, keepdim=True) if self.form == "offset" else totals
 
 
-def make_slider(parameter: Parameter, value: torch.Tensor, own: torch.Tensor) -> Slider:
-    """Return the slider of a parameter with this value; ``own`` is that of the scene before any change."""
+def make_slider(parameter: Parameter, own: torch.Tensor, value: torch.Tensor | None = None) -> Slider:
+    """Return the slider of a parameter with a ``value``, by default the scene's ``own``."""
+    value = own if value is None else value
     form, bounds = _form(parameter, value), (_lowest(parameter), parameter.bounds.high)
     low, high = _ends(parameter, value, own)
     start = tuple(value.reshape(-1).tolist())
