@@ -390,20 +390,23 @@ def test_what_a_light_that_is_off_does_to_a_rating_is_in_doubt(browser):
         assert "~ off, and UGR is not linear in the light" in window.slider(SKY).inner_text()
         window.page.get_by_role("button", name="Copy as command line").click()
         assert window.page.get_by_label("Code").input_value().count("--inputs") == 1
-        glare, brightness = window.range(SKY).evaluate(  # before any render
+        (rating, glare), (_, brightness) = window.range(SKY).evaluate(  # before any render
             """async (slider) => {
-                slider.value = slider.max / 2;
+                slider.value = slider.max;
                 slider.dispatchEvent(new Event("input", { bubbles: true }));
                 await new Promise(requestAnimationFrame);
-                return [...document.querySelectorAll("[data-part=change]")].map((one) => one.textContent);
+                const text = (card, part) => card.querySelector(`[data-part=${part}]`).textContent;
+                const cards = [...document.querySelectorAll(".explore-card")];
+                return cards.map((card) => [text(card, "value"), text(card, "change")]);
             }"""
         )
         assert glare.endswith("predicted ~ may be far off")
+        assert re.match(r"0(\.0+)? ± ", rating), f"{rating}: no rating is negative"
         assert brightness.endswith("predicted")
         window.set(LEFT, 0.5)
         window.page.get_by_role("button", name="Copy as command line").click()
         copied = window.page.get_by_label("Code").input_value()
-        assert re.findall(r"--set '(.*)'", copied) == [f"{SKY}=22,0,0", f"{LEFT}*=0.25"]
+        assert re.findall(r"--set '(.*)'", copied) == [f"{SKY}=44,0,0", f"{LEFT}*=0.25"]
         window.close()
 
 

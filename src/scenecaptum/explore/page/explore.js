@@ -368,7 +368,11 @@ class Page {
     const predicted = this.predict(metric, this.design);
     if (same(this.design, this.base.design)) return { ...this.base.metrics[metric], predicted };
     if (!this.isRendered() || this.rendered.rough || this.rendered.base !== this.base.number) {
-      return predicted && { value: value + predicted.change, error: Math.hypot(error, predicted.error), predicted };
+      if (!predicted) return null;
+      const lowest = this.scene.metrics[metric].hasClasses ? 0 : -Infinity; // a line may go below 0, a rating does not
+      const changed = value + predicted.change;
+      const isImpossible = changed < lowest;
+      return { value: Math.max(changed, lowest), error: Math.hypot(error, predicted.error), predicted, isImpossible };
     }
     const confirmed = this.rendered.metrics[metric];
     const [change, changeError] = confirmed.change;
@@ -451,7 +455,7 @@ class Page {
       verdict.textContent = now ? (now.verdict ?? (metric.hasClasses ? unknown : "")) : "";
       const changed = now && (now.change ?? (isStart ? null : now.predicted));
       const how = now?.change ? "rendered" : this.isRecorded ? "predicted to first order, not rendered" : "predicted";
-      const isDoubtful = !now?.change && this.moved().some((one) => one.isLast[index]);
+      const isDoubtful = now?.isImpossible || (!now?.change && this.moved().some((one) => one.isLast[index]));
       change.textContent = changed ? `${withError(changed.change, changed.error, true)}${metric.changeUnit && ` ${metric.changeUnit}`} ${how}${isDoubtful ? " ~ may be far off" : ""}` : "";
       const isOff = now?.errors > CLEAR;
       note.hidden = !isOff;
