@@ -18,7 +18,7 @@ from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
 from scenecaptum.explanation._sources import find_sources
-from scenecaptum.explanation._threshold import lamp_edge_notes
+from scenecaptum.explanation._threshold import edge_loss, lamp_edge_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import format_with_error, plot_bars, rounded, table_text
@@ -431,7 +431,7 @@ def test_what_a_rating_lacks_is_what_a_finer_picture_has_more(mi):
         found = lamp_edge_notes(metric, image, renderer.small_lamps(), renderer.lamp_coverage())
         return metric.hard(image).item(), "".join(found)
 
-    said = {width: rated(width, spp) for width, spp in ((8, 64), (32, 256), (64, 256), (128, 64), (512, 4))}
+    said = {width: rated(width, spp) for width, spp in ((8, 64), (32, 4096), (64, 1024), (128, 64), (512, 4))}
     missing = {
         width: float(found[1]) if (found := re.search(r"too low, by about ([\d.]+)", note)) else 0.0
         for width, (_, note) in said.items()
@@ -444,6 +444,39 @@ def test_what_a_rating_lacks_is_what_a_finer_picture_has_more(mi):
     assert said[8][1].startswith("caution: ")
     assert said[128][1].startswith("pixels at the edges of bulb average"), "less is missing"
     assert missing[512] == 0, "not worth a note"
+
+
+def test_what_a_window_to_the_sky_lacks_is_what_a_finer_picture_has_more(mi):
+    """Also behind a pane, which reflects the dark room."""
+    transform = mi.ScalarTransform4f()
+    pieces = {"left": (-5.3, 0.2), "right": (5.9, 0.2), "below": (0.3, -5.2), "above": (0.3, 5.6)}
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 60,
+            "to_world": transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
+        },
+        "sky": {"type": "constant", "radiance": 40.0},
+        "pane": {"type": "rectangle", "bsdf": {"type": "thindielectric"}},
+    }
+    for name, (x, y) in pieces.items():
+        black = {"type": "diffuse", "reflectance": 0.01}
+        place = transform.translate([x, y, 0.01]).scale(5)
+        scene[name] = {"type": "rectangle", "to_world": place, "bsdf": black}
+
+    def rated(width: int, spp: int) -> tuple[float, float]:
+        renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=spp, max_depth=3)
+        metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
+        assert renderer.small_lamps() == {}
+        return metric.hard(image).item(), edge_loss(metric, image, {}, renderer.lamp_coverage()).missing
+
+    (fine, rest), *coarse = (rated(width, spp) for width, spp in ((256, 16), (32, 1024), (20, 1024)))
+    assert rest < 0.2
+    for value, missing in coarse:
+        assert missing > 0.2
+        assert value + missing == pytest.approx(fine + rest, abs=8 * math.log10(1.1))
 
 
 def test_a_change_with_what_lamps_lack_is_that_of_a_finer_picture(mi):

@@ -79,6 +79,21 @@ def test_the_light_in_the_pixels_of_an_edge_is_that_of_the_sky(found):
     assert found["sky"].share + found["lamp"].share > 0.98
 
 
+def test_what_a_pane_reflects_has_little_of_the_sky_behind_it():
+    """The frame is a twelfth of what the pixels of the window show, and hardly any of their light."""
+    metric = TargetedMetric(metrics.UnifiedGlareRating(Camera.perspective(SIZE, SIZE, fov_x=30)), None)
+    sky, frame, lamp, wall = fractions()
+    covered = torch.stack([sky * 11 / 12, sky / 12, lamp, wall + frame])
+    radiance = torch.tensor([3000.0, 10.0, 5000.0, 50.0]).double() / metric.metric.efficacy
+    seen = (radiance[:, None, None] * covered)[..., None].expand(-1, -1, -1, 3)
+    images = torch.stack([seen.sum(0)] * 3)
+    emitted = {name: seen[NAMES.index(name)] for name in ("sky", "lamp")}
+    assert "wood" in {one.name for one in find_sources(metric, images, surface_map(covered))}
+    found = find_sources(metric, images, surface_map(covered), light=emitted)
+    assert {one.name for one in found} == {"sky", "lamp"}
+    assert sum(one.share for one in found) > 0.99
+
+
 def test_a_shape_is_not_named_after_another_in_which_its_material_is_defined():
     metric, image = TargetedMetric(metrics.MeanLuminance(), None), torch.ones(3, SIZE, SIZE, 3)
     floor = dataclasses.replace(

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 import torch
+from seeds import shifted
 
 from scenecaptum import SceneRenderer
 
@@ -62,17 +63,43 @@ def test_lamps_are_not_small_in_a_large_picture(bulbs: dict[str, Any]) -> None:
     assert {*renderer.small_lamps()} == {"tiny", "behind_a_pane"}
 
 
-def test_coverage_is_of_lamps_that_are_seen_directly(bulbs: dict[str, Any]) -> None:
-    """Behind a pane, a lamp that fills pixels covers none in part: the fraction is that of the light."""
+def test_coverage_is_that_of_lamps_and_the_sky(bulbs: dict[str, Any]) -> None:
+    """Also behind a pane, although it reflects a part of the light, and in a mirror."""
+    bulbs = {**bulbs, "behind_a_pane": {**bulbs["behind_a_pane"], "radius": 0.1}}
     renderer = SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1)
     covered = renderer.lamp_coverage()
-    assert {*covered} == {"large", "small"}
-    for name, radius in (("large", 0.6), ("small", 0.1)):
+    assert {*covered} == {"large", "small", "behind_a_pane"}
+    for name, radius in (("large", 0.6), ("small", 0.1), ("behind_a_pane", 0.1)):
         x, y, z = bulbs[name]["center"]
         expected = math.pi * (radius / math.hypot(x, y, z - 4)) ** 2
         assert (covered[name] * renderer.camera.solid_angles).sum() == pytest.approx(expected, rel=0.1)
-    bulbs = {**bulbs, "behind_a_pane": {**bulbs["behind_a_pane"], "radius": 0.1}}
-    assert {*SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1).lamp_coverage()} == {*covered}
+
+    bulbs = {**bulbs, "wall": {**bulbs["wall"], "bsdf": {"type": "conductor"}}}
+    mirrored = SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1).lamp_coverage()
+    assert mirrored["large"].sum() > covered["large"].sum() + 10
+    bulbs = {name: part for name, part in bulbs.items() if name != "wall"}
+    bulbs["daylight"] = {"type": "constant", "radiance": 1.0}
+    outside = SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=1).lamp_coverage()
+    assert (sum(outside.values()) == 1).float().mean() > 0.99, "but for bulbs that are smaller than a pixel"
+
+
+def test_direct_light_is_that_of_a_render_without_reflecting_surfaces(bulbs: dict[str, Any]) -> None:
+    pane = {**bulbs["pane"], "bsdf": {"type": "thindielectric", "specular_transmittance": 0.5}}
+    camera = {**bulbs["camera"], "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}}
+    bulbs = {
+        **bulbs,
+        "camera": camera,
+        "pane": pane,
+        "behind_a_pane": {**bulbs["behind_a_pane"], "radius": 0.1},
+    }
+    renderer = SceneRenderer(bulbs, "reflectance", resolution=(64, 64), spp=4096, max_depth=2)
+    light, covered, image = renderer.direct_light(), renderer.lamp_coverage(), renderer(seed=shifted())
+    assert {"large", "small", "behind_a_pane"} <= {*light}
+    for name in ("small", "behind_a_pane"):
+        whole = covered[name] == 1
+        assert light[name][whole].mean().item() == pytest.approx(image[whole].mean().item(), rel=0.05)
+    off = {name: torch.zeros(3) for name in renderer.parameters if name.endswith("radiance.value")}
+    assert renderer.direct_light(off) == {}
 
 
 def test_small_lamps_are_as_the_values_have_them(bulbs: dict[str, Any]) -> None:

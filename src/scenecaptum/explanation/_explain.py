@@ -169,9 +169,10 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     premises = photometric_premises(
         metric, of_value, value, error, shown, renderer, values, is_doubted=is_doubted
     )
-    lamps = {}
+    scene = renderer if isinstance(renderer, SceneRenderer) else None
+    lamps = scene.small_lamps(values) if scene and isinstance(metric, GlareRating) else {}
+    light = scene.direct_light(values) if scene else {}
     if isinstance(metric, GlareRating):
-        lamps = renderer.small_lamps(values) if isinstance(renderer, SceneRenderer) else {}
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
             premises += _said_of(goal, scenes, metric, shown)
@@ -180,7 +181,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
         definition=definition,
         premises=premises,
-        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps),
+        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps, light),
         changes=_rendered(scenes, proposed, definition, metric),
         no_changes=why_none(attribution) if count and not proposed else "",
         goal=goal,

@@ -22,6 +22,8 @@ CELLS = 32  # along the longer side of the picture: a thinner bar of a window do
 MIN_PART, MAX_PLACES = 0.1, 3  # of the weight of an object, for a place of its own; more places are "several"
 PURITY = 8  # exponent of the coverage of the pixels that tell the luminance of an object
 
+TINY = np.finfo(np.float64).tiny
+
 Floats = NDArray[np.float64]
 
 
@@ -30,21 +32,23 @@ def find_sources(
     images: torch.Tensor,
     surfaces: SurfaceMap | None,
     lamps: Mapping[str, SmallLamp] | None = None,
+    light: Mapping[str, torch.Tensor] | None = None,
 ) -> tuple[Source, ...]:
     """Return the objects that cause at least 2 % of a metric, the largest share first, with the errors.
 
     ``images`` are independent pictures, ``(replicates, H, W, 3)``. Without a map of the objects there are no
-    sources. ``lamps`` are those of a glare rating that are smaller than a pixel, which the map may lack.
+    sources. ``lamps`` are those of a glare rating that are smaller than a pixel, which the map may lack, and
+    ``light`` is the radiance that objects themselves send to each pixel, ``(H, W, 3)``.
     """
     if surfaces is None:
         return ()
-    parts = _Parts.of(surfaces)
+    parts = _Parts.of(surfaces, light or {})
     if lamps and isinstance(metric.metric, GlareRating):
         parts = parts.with_lamps(lamps, metric.metric.camera.solid_angles)
 
     def shares(kept: torch.Tensor) -> torch.Tensor:
         weights = parts.weights(metric, images[kept].mean(0))
-        return torch.from_numpy(parts.by_name(weights) / max(weights.sum(), np.finfo(weights.dtype).tiny))
+        return torch.from_numpy(parts.by_name(weights) / max(weights.sum(), TINY))
 
     means, errors = delete_one_jackknife(shares, len(images))
     mean = images.mean(0)
@@ -64,27 +68,36 @@ def find_sources(
 
 @dataclass(frozen=True)
 class _Parts:
-    """The parts of pixels that objects cover: the object ``name[k]`` covers ``fraction[k]`` of ``pixel[k]``."""
+    """The parts of pixels that objects cover: the object ``name[k]`` covers ``fraction[k]`` of ``pixel[k]``.
+
+    It sends ``emitted[k]`` to that pixel itself, as luminance before the efficacy.
+    """
 
     names: list[str]
     name: NDArray[np.int64]
     pixel: NDArray[np.int64]
     fraction: Floats
+    emitted: Floats
     known: Mapping[int, float]  # the luminance of objects of which no pixel shows it
 
     @classmethod
-    def of(cls, surfaces: SurfaceMap) -> _Parts:
+    def of(cls, surfaces: SurfaceMap, light: Mapping[str, torch.Tensor]) -> _Parts:
         """Return the parts of a map; those of objects of the same name are one."""
         of_objects = [_name(surfaces, index) for index in range(len(surfaces.objects))]
         names = sorted(set(of_objects))
         number = np.array([names.index(name) for name in of_objects], np.int64)
         size = surfaces.shape[0] * surfaces.shape[1]
+        emitted = np.zeros(len(surfaces.pixel))
+        for index in (i for i, own in enumerate(surfaces.objects) if own in light):
+            entries = surfaces.object_index == index
+            emitted[entries] = _luminance(light[surfaces.objects[index]])[surfaces.pixel[entries]]
         keys, entries = np.unique(number[surfaces.object_index] * size + surfaces.pixel, return_inverse=True)
         return cls(
             names,
             keys // size,
             keys % size,
             np.bincount(entries, surfaces.fraction.astype(float)).astype(float),
+            np.bincount(entries, emitted).astype(float),
             {},
         )
 
@@ -103,6 +116,7 @@ class _Parts:
                     pixel.append(row * width + column)
                     fraction.append(min(1.0, lamp.solid_angle / size[pixel[-1]]))
         others = ~np.isin(self.name * len(size) + self.pixel, np.array(index) * len(size) + pixel)
+        is_lamp = np.isin(self.name, [names.index(name) for name in lamps])
         radiance = torch.stack([lamp.radiance for lamp in lamps.values()])[None]
         luminance = relative_luminance(radiance)[0].tolist()
         return _Parts(
@@ -110,6 +124,7 @@ class _Parts:
             np.concatenate([self.name[others], index]),
             np.concatenate([self.pixel[others], pixel]),
             np.concatenate([self.fraction[others], fraction]),
+            np.concatenate([np.where(is_lamp, 0.0, self.emitted)[others], np.zeros(len(index))]),
             {names.index(name): one for name, one in zip(lamps, luminance, strict=True)},
         )
 
@@ -121,16 +136,18 @@ class _Parts:
         """Return how much of the metric each part causes.
 
         A pixel at the edge of a window shows its frame as well, but the light is that of the sky. The objects of a
-        pixel have shares in it in proportion to the light that each sends: its fraction times its luminance, which
-        is the mean over its pixels, mostly of those that show nothing else.
+        pixel have shares in it in proportion to the light that each sends: what it emits, and of the rest of the
+        light its fraction times the luminance that it has there, which is the mean over its pixels, mostly of
+        those that show nothing else.
         """
-        luminance = relative_luminance(image).double().clamp_min(0).flatten().cpu().numpy()[self.pixel]
+        rest = _luminance(image) - np.bincount(self.pixel, self.emitted, image.shape[0] * image.shape[1])
         purity = self.fraction**PURITY
-        own = self.by_name(purity * luminance) / np.maximum(self.by_name(purity), np.finfo(np.float64).tiny)
+        own = self.by_name(purity * rest[self.pixel]) / np.maximum(self.by_name(purity), TINY)
+        own = own.clip(min=0.0)  # noise takes that of emitters below 0
         own[list(self.known)] = list(self.known.values())
-        light = self.fraction * own[self.name]
+        light = self.emitted + self.fraction * own[self.name]
         of_pixel = np.bincount(self.pixel, weights=light)[self.pixel]
-        share = light / np.maximum(of_pixel, np.finfo(np.float64).tiny)
+        share = light / np.maximum(of_pixel, TINY)
         of_metric: Floats = _weights(metric, image).flatten().cpu().numpy()[self.pixel]
         return share * of_metric
 
@@ -138,6 +155,12 @@ class _Parts:
         """Return the mean of pixels, ``(H, W)``, over the parts of an object, mostly those that show only it."""
         weights = weights * self.fraction**PURITY * (self.name == index)
         return float((weights * values.flatten().cpu().numpy()[self.pixel]).sum() / weights.sum())
+
+
+def _luminance(image: torch.Tensor) -> Floats:
+    """Return the luminance of each pixel before the efficacy, ``(H * W,)``."""
+    values: Floats = relative_luminance(image).double().clamp_min(0).flatten().cpu().numpy()
+    return values
 
 
 def _name(surfaces: SurfaceMap, index: int) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import NamedTuple, TypeGuard
 
 import torch
+from torch.nn import functional
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
@@ -17,6 +18,7 @@ NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
 NOTABLE, MUCH = 0.01, 0.05  # of a rating
 TOO_LOW = "the rating is too low"
+AROUND = 2  # pixels within which the luminance of a lamp is that at its edge
 NAMED = 0.1  # of what the most important lamp loses
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 ASIDE = 0.03  # of that threshold: how far noise may take a source
@@ -88,7 +90,7 @@ def edge_loss(
     lamps = {
         name: lamp
         for name, lamp in _lamps(metric, image, small, covered).items()
-        if lamp.luminance > threshold
+        if (lamp.luminance > threshold).any()
     }
     if not lamps:
         return EdgeLoss(0.0, [])
@@ -132,19 +134,20 @@ def _losing_most(lost: Mapping[str, float]) -> list[str]:
 
 
 class _Lamp(NamedTuple):
-    """The luminance of a lamp, before the efficacy, and the fraction of each pixel that it covers, ``(H, W)``.
+    """The luminance of a lamp, before the efficacy, and the fraction that it covers of the pixels at its edge.
 
-    One that covers less than half of any pixel has all its light in one. ``most`` is the most that it covers.
+    Both are ``(H, W)``. One that covers less than half of any pixel has all its light in one. ``most`` is the most
+    that it covers.
     """
 
-    luminance: float
+    luminance: torch.Tensor
     fraction: torch.Tensor
     most: float
 
     def lost(self, solid_angles: torch.Tensor) -> float:
         """Return how much of its luminance² · solid angle the lamp loses to averaging."""
         lost = self.fraction * (1 - self.fraction.clamp(max=self.most))
-        return self.luminance**2 * (lost * solid_angles.to(lost)).sum().item()
+        return (self.luminance**2 * lost * solid_angles.to(lost)).sum().item()
 
 
 def _lamps(
@@ -156,14 +159,37 @@ def _lamps(
     shown, lamps = luminance(image), {}
     for name, mask in covered.items():
         fraction = mask.to(shown)
-        # Mostly of pixels that show nothing else; where there are none, of the light relative to the fraction.
-        own = (fraction ** (PURITY - 1) * shown).sum() / (fraction**PURITY).sum()
-        lamps[name] = _Lamp(own.item(), fraction, 1.0)
+        is_edge = functional.max_pool2d(1 - fraction[None], 3, 1, 1)[0] > 0  # or beside one
+        lamps[name] = _Lamp(_luminance_of_lamp(shown, fraction), fraction * is_edge, 1.0)
     for name, lamp in small.items():
         fraction = torch.zeros_like(shown)
         fraction[lamp.pixel] = lamp.solid_angle / metric.camera.solid_angles[lamp.pixel].item()
-        lamps[name] = _Lamp(luminance(lamp.radiance[None, None]).item(), fraction, FILLED)
+        own = luminance(lamp.radiance[None, None]).to(shown)
+        lamps[name] = _Lamp(own.expand_as(shown), fraction, FILLED)
     return lamps
+
+
+def _luminance_of_lamp(shown: torch.Tensor, fraction: torch.Tensor) -> torch.Tensor:
+    """Return the luminance of a lamp, or of the sky, at each pixel, ``(H, W)``, from that of the pixels.
+
+    It is that of the pixels around, mostly of those that show nothing else; where there are none, that of most of
+    the lamp, which has the weight of one pixel. Of a pixel that shows it in part, it is the light relative to the
+    fraction.
+    """
+    purity = fraction**PURITY
+    apparent = shown / fraction.clamp_min(torch.finfo(fraction.dtype).tiny)
+    common = _weighted_median(apparent, purity)
+    light, weight = (
+        functional.avg_pool2d(of_pixels[None], 2 * AROUND + 1, 1, AROUND, divisor_override=1)[0]
+        for of_pixels in (torch.where(fraction > 0, purity * apparent, 0), purity)
+    )
+    return (light + common) / (weight + 1)
+
+
+def _weighted_median(values: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
+    order = values.flatten().argsort()
+    total = weights.flatten()[order].cumsum(0)
+    return values.flatten()[order[torch.searchsorted(total, total[-1] / 2)]]
 
 
 def single_sample_notes(metric: GlareRating, image: torch.Tensor, other: torch.Tensor) -> tuple[str, ...]:

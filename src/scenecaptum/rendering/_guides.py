@@ -137,7 +137,7 @@ def _guide_rays(
     with dr.suspend_grad():
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        ray, hit = follow_specular(scene, ray, hit, pixel, point)
+        ray, hit, _ = follow_specular(scene, ray, hit, pixel, point)
         si = hit.compute_surface_interaction(ray)
         valid = dr.max(weight) > 0  # not outside a fisheye's circle
         albedo = dr.select(valid, _albedo(si), 0)

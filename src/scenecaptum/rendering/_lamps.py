@@ -82,15 +82,15 @@ def _pixel_of(direction: NDArray[Any], directions: NDArray[Any], camera: Camera)
 
 
 def _trace(scene: Any, origin: NDArray[Any], towards: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return for each ray the radiance of what it meets, ``(rays, 3)``, and Dr.Jit's index of that shape."""
+    """Return the radiance that comes along each ray, ``(rays, 3)``, and Dr.Jit's index of the shape it meets."""
     index = dr.arange(mi.UInt32, len(towards))
     with dr.suspend_grad():
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(towards.T))
         hit = scene.ray_intersect_preliminary(ray)
         # Of the points of a lamp behind a pane, as many rays are reflected as of the points in a pixel.
-        ray, hit = follow_specular(scene, ray, hit, index // RAYS, index % RAYS)
+        ray, hit, throughput = follow_specular(scene, ray, hit, index // RAYS, index % RAYS)
         si = hit.compute_surface_interaction(ray)
         shape = dr.reinterpret_array(mi.UInt32, si.shape)
-        radiance = si.emitter(scene).eval(si)
+        radiance = throughput * si.emitter(scene).eval(si)
         dr.eval(shape, radiance)
     return np.broadcast_to(radiance.numpy(), (3, len(towards))).T, shape.numpy()

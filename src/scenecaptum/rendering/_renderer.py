@@ -7,7 +7,7 @@ import math
 import traceback
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, NoReturn, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
 import torch
@@ -66,6 +66,9 @@ from ._sensors import (
     shows_a_view,
 )
 from ._small_lamp import FILLED, SmallLamp
+
+if TYPE_CHECKING:
+    from ._visibility import Follow
 
 T = TypeVar("T")
 
@@ -667,7 +670,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         """
         from ._lamps import visible_lamps
 
-        if (surfaces := self.see_through((), values)) is None:
+        if (surfaces := self._surface_map((), values, follow="transmitted")) is None:
             return {}
         moved = {name: torch.tensor(value) for name, value in self._moved(values)}
         live = self._views[0].live
@@ -678,16 +681,44 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             return visible_lamps(self._graph.scene, live.sensor, camera_of(live.sensor), small)
 
     def lamp_coverage(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, torch.Tensor]:
-        """Return the fraction of each pixel that each lamp covers, ``(H, W)``, but for ``small_lamps``.
+        """Return the fraction of each pixel that each lamp and the sky cover, ``(H, W)``, but for ``small_lamps``.
 
-        Only what the camera sees directly: behind a pane or in a mirror, the fraction would be that of the light.
+        Also through panes, without what these reflect, and in mirrors. The sky has the name of its emitter.
         ``values`` are as in ``small_lamps``.
         """
-        if (surfaces := self._surface_map((), values)) is None:
+        if (surfaces := self._surface_map((), values, follow="transmitted")) is None:
             return {}
         with exclusively(self._variant):
             masks = {name: torch.from_numpy(surfaces.mask(name)) for name in self._lamps()}
+            sky = self._graph.background()
+        if sky:
+            # The last object of a map is the background.
+            name = next((used.split(".")[0] for used in surfaces.parameters[-1]), surfaces.objects[-1])
+            masks[name] = torch.from_numpy(surfaces.mask(surfaces.objects[-1]))
         return {name: mask for name, mask in masks.items() if mask.max() >= FILLED}
+
+    def direct_light(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, torch.Tensor]:
+        """Return the radiance that each lamp and the sky send to each pixel directly, ``(H, W, 3)``.
+
+        Also through panes and by way of mirrors, with what these absorb. By the names of the objects that
+        ``see_through`` shows; empty where that is None. ``values`` are as for a render.
+        """
+        from ._visibility import trace_light
+
+        if self._stacked or not self.shows_a_view:
+            return {}
+        live = self._views[0].live
+        with live.with_values(self._changed(values or {})):
+            light = trace_light(self._graph, live.sensor, live.resolution)
+        return {name: torch.from_numpy(seen) for name, seen in light.items()}
+
+    def _changed(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """Return the values among ``values`` that differ from those of the scene as loaded."""
+        return {
+            name: value.detach().clone()
+            for name, value in values.items()
+            if name in self._state.original and not self._state.is_original(name, value)
+        }
 
     def _lamps(self) -> dict[str, Any]:
         """Return the shapes that emit light, by name."""
@@ -787,7 +818,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         """
         if not self.shows_a_view:
             raise SceneCaptumError("The pixels of this sensor show no objects, so it has no mask of them.")
-        maps = [view.surface_map((), False, ()) for view in self._views]
+        maps = [view.surface_map((), "nothing", ()) for view in self._views]
         masks = torch.stack([torch.from_numpy(surfaces.mask(objects)) for surfaces in maps]).to(self._device)
         return masks if self._stacked else masks[0]
 
@@ -816,7 +847,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         ignored, so that fractions sum to 1. ``heatmap(surfaces=…)`` paints on the map. ``names`` and
         ``values`` are as in ``surfaces_with_texels``.
         """
-        return self._surface_map(names, values, through=True)
+        return self._surface_map(names, values, follow="split")
 
     @property
     def guides(self) -> Guides:
@@ -835,11 +866,10 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
 
     def _lit(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Return the values of lights among ``values`` that differ from those of the scene as loaded."""
-        lights = [name for name in values if name in self._table and self._table[name].kind == "emitters"]
         return {
-            name: values[name].detach().clone()
-            for name in lights
-            if not self._table[name].moves and not self._state.is_original(name, values[name])
+            name: value
+            for name, value in self._changed(values).items()
+            if self._table[name].kind == "emitters" and not self._table[name].moves
         }
 
     def _moved(self, values: Mapping[str, torch.Tensor] | None) -> Moved:
@@ -855,7 +885,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         names: Iterable[str] | None,
         values: Mapping[str, torch.Tensor] | None = None,
         *,
-        through: bool = False,
+        follow: Follow = "nothing",
     ) -> SurfaceMap | None:
         """Return the sensor's surface map with the texels of these inputs; None where pixels show no view."""
         if self._stacked or not self.shows_a_view:
@@ -863,7 +893,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         wanted = self._names if names is None else names
         in_scene = (name for name in wanted if name in self._state.original)
         textures = tuple(name for name in in_scene if len(self._table[name].shape) in (2, 3))
-        return self._views[0].surface_map(textures, through, self._moved(values))
+        return self._views[0].surface_map(textures, follow, self._moved(values))
 
     def forward(
         self,

@@ -24,7 +24,7 @@ from ._pilot import Pilots
 from ._plan import RenderPlan
 from ._sky_engine import SkyEngine
 from ._texels import find_textures
-from ._visibility import trace_surfaces
+from ._visibility import Follow, trace_surfaces
 
 # Maps of one scene with and without texels and mirrors, and of a few scenes in which something has moved.
 CACHED_MAPS = 8
@@ -38,7 +38,7 @@ class View(SceneOwner):
     engine: Engine | CheckpointedEngine
     pilots: Pilots | None  # None for Mitsuba's own integrators
     # With these texels, through specular surfaces, where objects and the camera are moved.
-    surface_map: Callable[[tuple[str, ...], bool, Moved], SurfaceMap]
+    surface_map: Callable[[tuple[str, ...], Follow, Moved], SurfaceMap]
 
     def with_checkpoint(self, checkpoint: Checkpoint | None, fingerprint: str) -> View:
         """Return the view with an engine that uses a checkpoint, or none."""
@@ -50,7 +50,7 @@ class View(SceneOwner):
 
     def describe_pixels(self, pixels: torch.Tensor) -> str:
         """Return a sentence that names the objects on a mask of pixels ``(H, W)``."""
-        names = self.surface_map((), False, ()).objects_on(pixels.numpy(force=True))
+        names = self.surface_map((), "nothing", ()).objects_on(pixels.numpy(force=True))
         return f" They show {first_few(names)}: look for an extreme value there, or in the lights."
 
 
@@ -65,15 +65,17 @@ def make_view(
     """Create what the plan requires to render a live scene, or its daylight coefficients by ``sky_patches``."""
 
     @lru_cache(maxsize=CACHED_MAPS)
-    def surface_map(textures: tuple[str, ...], through: bool, moved: Moved) -> SurfaceMap:
+    def surface_map(textures: tuple[str, ...], follow: Follow, moved: Moved) -> SurfaceMap:
         with live.with_values({name: torch.tensor(value) for name, value in moved}):
             lookups = list(find_textures(live, {name: parameters[name].shape for name in textures}))
             return trace_surfaces(
-                live.graph, parameters, live.sensor, live.resolution, lookups, through=through
+                live.graph, parameters, live.sensor, live.resolution, lookups, follow=follow
             )
 
     integrator = plan.create_integrator()
-    importance_maps = ImportanceMaps(live, parameters, plan, integrator, partial(surface_map, (), False, ()))
+    importance_maps = ImportanceMaps(
+        live, parameters, plan, integrator, partial(surface_map, (), "nothing", ())
+    )
     moved = (
         copy_materials(movable_materials(live.graph, parameters, dict(plan.differences)))
         if plan.kind.path_differences and importance_maps.film and sky_patches is None

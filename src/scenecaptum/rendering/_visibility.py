@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import drjit as dr
 import mitsuba as mi
@@ -28,6 +28,11 @@ BATCH = 2**18
 # Maximum number of mirrors and panes along a ray.
 MAX_SPECULAR_BOUNCES = 12
 
+# What rays do at specular surfaces: end there, or continue. Where a surface reflects and transmits, they are split
+# as its light is, or all transmitted.
+Follow = Literal["nothing", "split", "transmitted"]
+TRANSMITTED = 1 - 2**-24  # the sample of a lobe that panes take as transmission
+
 
 def trace_surfaces(
     graph: SceneGraph,
@@ -36,11 +41,11 @@ def trace_surfaces(
     resolution: tuple[int, int],
     textures: Sequence[ShownTexture] = (),
     *,
-    through: bool = False,
+    follow: Follow = "nothing",
 ) -> SurfaceMap:
     """Trace primary rays through each pixel and record the first objects that they hit.
 
-    With ``through``, rays continue at specular surfaces: see ``follow_specular``.
+    They may ``follow`` specular surfaces: see ``follow_specular``.
     """
     shapes = graph.shapes()
     width, height = resolution
@@ -48,7 +53,7 @@ def trace_surfaces(
     object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
     parts = [
         _Part.of(
-            _trace(graph.scene, sensor, resolution, (first, count), textures, through),
+            _trace(graph.scene, sensor, resolution, (first, count), textures, follow),
             first,
             object_of_shape,
             textures,
@@ -70,6 +75,51 @@ def trace_surfaces(
     )
 
 
+def trace_light(
+    graph: SceneGraph, sensor: Any, resolution: tuple[int, int]
+) -> dict[str, NDArray[np.float32]]:
+    """Return the radiance that each emitter sends to each pixel directly, through panes and by way of mirrors.
+
+    ``(H, W, 3)``, by the names of ``trace_surfaces``, whose split rays these are. Emitters that no ray meets are
+    left out.
+    """
+    (width, height), shapes = resolution, graph.shapes()
+    objects = (*(name for name, _, _ in shapes), "background")
+    object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
+    light: dict[str, NDArray[np.float32]] = {}
+    for first, count in batches(resolution):
+        shape, radiance = _trace_light(graph.scene, sensor, resolution, first, count)
+        of_ray, pixel = object_of_shape[shape], np.arange(count * RAYS) // RAYS
+        for index in np.unique(of_ray[radiance.any(0)]):
+            seen = light.setdefault(objects[index], np.zeros((height * width, 3), np.float32))
+            for channel, own in enumerate((of_ray == index) * radiance):
+                seen[first : first + count, channel] = np.bincount(pixel, own, count) / RAYS
+    return {name: seen.reshape(height, width, 3) for name, seen in light.items()}
+
+
+def _trace_light(
+    scene: Any, sensor: Any, resolution: tuple[int, int], first: int, count: int
+) -> tuple[Indices, NDArray[Any]]:
+    """Return Dr.Jit's index of the shape that each ray meets, and the radiance from it, ``(3, rays)``."""
+    with dr.suspend_grad():
+        ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
+        hit = scene.ray_intersect_preliminary(ray, coherent=True)
+        ray, hit, throughput = follow_specular(scene, ray, hit, pixel, point)
+        interaction = hit.compute_surface_interaction(ray)
+        radiance = throughput * interaction.emitter(scene).eval(interaction) & (dr.max(weight) > 0)
+        shape = _visible_shape(interaction)
+        dr.eval(shape, radiance)
+    return shape.numpy().astype(np.int64), np.broadcast_to(radiance.numpy(), (3, count * RAYS))
+
+
+def _visible_shape(interaction: Any) -> Any:
+    """Return Dr.Jit's index of the hit shapes: of the instance for a shape in an instance, 0 for none."""
+    shape, instance = (
+        dr.reinterpret_array(mi.UInt32, pointer) for pointer in (interaction.shape, interaction.instance)
+    )
+    return dr.select(interaction.is_valid(), dr.select(instance != 0, instance, shape), 0)
+
+
 @dataclass
 class _Hits:
     """The hit of each ray, pixel-major: NumPy arrays with ``RAYS`` elements per pixel."""
@@ -86,7 +136,7 @@ def _trace(
     resolution: tuple[int, int],
     pixels: tuple[int, int],
     textures: Sequence[ShownTexture],
-    through: bool,
+    follow: Follow,
 ) -> _Hits:
     """Trace the rays of ``pixels``: the first and the number of pixels."""
     first, count = pixels
@@ -94,16 +144,13 @@ def _trace(
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
         interaction, coordinates = hit, []
-        if through:
-            ray, hit = follow_specular(scene, ray, hit, pixel, point)
-        if textures or through:
+        if follow != "nothing":
+            ray, hit, _ = follow_specular(scene, ray, hit, pixel, point, follow)
+        if textures or follow != "nothing":
             interaction = hit.compute_surface_interaction(ray)
             coordinates = [texture.coordinates(interaction, hit, ray.d) for texture in textures]
-        shape, instance = (
-            dr.reinterpret_array(mi.UInt32, pointer) for pointer in (interaction.shape, interaction.instance)
-        )
-        shape = dr.select(interaction.is_valid(), shape, 0)
-        visible_shape = dr.select(interaction.is_valid() & (instance != 0), instance, shape)
+        shape = dr.select(interaction.is_valid(), dr.reinterpret_array(mi.UInt32, interaction.shape), 0)
+        visible_shape = _visible_shape(interaction)
         valid = dr.max(weight) > 0
         dr.eval(visible_shape, shape, valid, coordinates)
     return _Hits(
@@ -151,21 +198,27 @@ def film_position(resolution: tuple[int, int], pixel: Any, point: Any, rays: int
     )
 
 
-def follow_specular(scene: Any, ray: Any, hit: Any, pixel: Any, point: Any) -> tuple[Any, Any]:
+def follow_specular(
+    scene: Any, ray: Any, hit: Any, pixel: Any, point: Any, follow: Follow = "split"
+) -> tuple[Any, Any, Any]:
     """Follow rays by specular reflection and transmission to the first surface that also scatters light.
 
-    Where a surface reflects and transmits, the rays of a pixel are split as its light is. Emitters, and
-    surfaces with a smooth lobe too (varnish), end a ray. Returns the last piece of each ray and what it hits.
+    Where a surface reflects and transmits, the rays of a pixel are split as its light is, or transmitted.
+    Emitters, and surfaces with a smooth lobe too (varnish), end a ray. Returns the last piece of each ray, what
+    it hits, and the part of the light there that reaches the camera along split rays.
     """
     context = mi.BSDFContext()
 
-    def follow(ray: Any, hit: Any, bounce: Any, active: Any) -> tuple[Any, Any, Any, Any]:
+    def bounced(
+        ray: Any, hit: Any, throughput: Any, bounce: Any, active: Any
+    ) -> tuple[Any, Any, Any, Any, Any]:
         si = hit.compute_surface_interaction(ray, active=active)
         bsdf = si.bsdf()
         # Stratified lobe selection: one ray of the pixel in each sixteenth. The strata are permuted at each
         # bounce, so that the lobes of successive surfaces are uncorrelated.
         stratum = ((2 * bounce + 7) * point + 5 * bounce) % RAYS
-        lobe = (mi.Float(stratum) + mi.sample_tea_float32(pixel, bounce)) / RAYS
+        split = (mi.Float(stratum) + mi.sample_tea_float32(pixel, bounce)) / RAYS
+        lobe = split if follow == "split" else mi.Float(TRANSMITTED)
         active &= si.is_valid() & ~si.shape.is_emitter()
         purely_specular = ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         sample, value = bsdf.sample(context, si, lobe, mi.Point2f(0.5), active)
@@ -174,15 +227,22 @@ def follow_specular(scene: Any, ray: Any, hit: Any, pixel: Any, point: Any) -> t
         active &= (is_null | is_delta) & (dr.max(value) > 0)
         further = si.spawn_ray(si.to_world(sample.wo))
         next_hit = scene.ray_intersect_preliminary(further, active=active)
-        return dr.select(active, further, ray), dr.select(active, next_hit, hit), bounce + 1, active
+        throughput = dr.select(active, throughput * value, throughput)
+        return (
+            dr.select(active, further, ray),
+            dr.select(active, next_hit, hit),
+            throughput,
+            bounce + 1,
+            active,
+        )
 
     # A symbolic loop: its body is compiled once, together with what follows.
-    ray, hit, _, _ = dr.while_loop(
-        (mi.Ray3f(ray), hit, dr.zeros(mi.UInt32, dr.width(pixel)), mi.Bool(True)),
-        lambda ray, hit, bounce, active: active & (bounce < MAX_SPECULAR_BOUNCES),
-        follow,
+    ray, hit, throughput, _, _ = dr.while_loop(
+        (mi.Ray3f(ray), hit, mi.Color3f(1), dr.zeros(mi.UInt32, dr.width(pixel)), mi.Bool(True)),
+        lambda ray, hit, throughput, bounce, active: active & (bounce < MAX_SPECULAR_BOUNCES),
+        bounced,
     )
-    return ray, hit
+    return ray, hit, throughput
 
 
 @dataclass
