@@ -21,7 +21,7 @@ from scenecaptum.explanation._sources import find_sources
 from scenecaptum.explanation._threshold import edge_loss, lamp_edge_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
-from scenecaptum.visualization import format_with_error, plot_bars, rounded, table_text
+from scenecaptum.visualization import format_with_error, plot_bars, table_text
 
 
 @pytest.fixture(scope="module")
@@ -312,7 +312,7 @@ def test_the_rating_by_the_other_threshold_says_where_it_jumps(factor: float, ju
     low, high = (metric.relative_to_mean(other).hard(image).item() for other in (5 * 1.03, 5 * 0.97))
     assert (" within 3 % of that threshold" in note) == jumps, note
     if jumps:
-        assert f"({rounded(low)} to {rounded(high)} within" in note
+        assert f"({low:.2f} to {high:.2f} within" in note, "as precise as the rating"
         assert high > low + 1.0
 
 

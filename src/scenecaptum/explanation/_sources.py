@@ -15,7 +15,7 @@ from ..estimation import TargetedMetric, delete_one_jackknife
 from ..metrics import GlareRating
 from ..metrics import luminance as relative_luminance
 from ..projection import SurfaceMap
-from ..rendering import SmallLamp
+from ..rendering import FILLED, SmallLamp
 
 MIN_SHARE = 0.02
 CELLS = 32  # along the longer side of the picture: a thinner bar of a window does not separate its panes
@@ -87,19 +87,20 @@ class _Parts:
         names = sorted(set(of_objects))
         number = np.array([names.index(name) for name in of_objects], np.int64)
         size = surfaces.shape[0] * surfaces.shape[1]
-        emitted = np.zeros(len(surfaces.pixel))
+        shown = number[surfaces.object_index] * size + surfaces.pixel
+        keys, fractions = [shown], [surfaces.fraction.astype(float)]
+        emissions = [np.zeros(len(shown))]
         for index in (i for i, own in enumerate(surfaces.objects) if own in light):
-            entries = surfaces.object_index == index
-            emitted[entries] = _luminance(light[surfaces.objects[index]])[surfaces.pixel[entries]]
-        keys, entries = np.unique(number[surfaces.object_index] * size + surfaces.pixel, return_inverse=True)
-        return cls(
-            names,
-            keys // size,
-            keys % size,
-            np.bincount(entries, surfaces.fraction.astype(float)).astype(float),
-            np.bincount(entries, emitted).astype(float),
-            {},
+            luminance = _luminance(light[surfaces.objects[index]])
+            (lit,) = luminance.nonzero()
+            keys.append(number[index] * size + lit)
+            fractions.append(np.zeros(len(lit)))
+            emissions.append(luminance[lit])
+        parts, entry = np.unique(np.concatenate(keys), return_inverse=True)
+        fraction, emitted = (
+            np.bincount(entry, np.concatenate(one)).astype(float) for one in (fractions, emissions)
         )
+        return cls(names, parts // size, parts % size, fraction, emitted, {})
 
     def with_lamps(self, lamps: Mapping[str, SmallLamp], solid_angles: torch.Tensor) -> _Parts:
         """Return the parts with those of lamps that are smaller than a pixel, of which few rays or none are.
@@ -152,9 +153,15 @@ class _Parts:
         return share * of_metric
 
     def mean_of(self, values: torch.Tensor, weights: Floats, index: int) -> float:
-        """Return the mean of pixels, ``(H, W)``, over the parts of an object, mostly those that show only it."""
-        weights = weights * self.fraction**PURITY * (self.name == index)
-        return float((weights * values.flatten().cpu().numpy()[self.pixel]).sum() / weights.sum())
+        """Return the mean of pixels, ``(H, W)``, over the parts of an object, mostly those that show only it.
+
+        Of one that no pixel shows alone, such as in a pane, the fractions do not say which show it best.
+        """
+        own = self.name == index
+        weights, fraction = weights[own], self.fraction[own]
+        if fraction.max() >= FILLED:
+            weights = weights * fraction**PURITY
+        return float((weights * values.flatten().cpu().numpy()[self.pixel[own]]).sum() / weights.sum())
 
 
 def _luminance(image: torch.Tensor) -> Floats:

@@ -226,7 +226,7 @@ def relative_sentence(metric: GlareRating, image: torch.Tensor, style: Format) -
     low, high = min(rating, *beside), max(rating, *beside)
     if high - low <= JUMP * abs(rating):
         return text
-    between = f"{rounded(low)} to {rounded(high)} within {100 * ASIDE:g} % of that threshold"
+    between = f"{style.write(low)} to {style.write(high)} within {100 * ASIDE:g} % of that threshold"
     return f"{text} ({between}, which a source is close to)"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -21,6 +22,9 @@ from ._texels import Indices, ShownTexture
 # Rays per pixel, at Hammersley points: no two share a row or column, which locates an axis-aligned edge to
 # within 1/16 of a pixel, and the map is the same at every call.
 RAYS = 16
+
+# How often each of these rays is followed where it meets panes, for their light. A pane reflects a twelfth.
+TURNS = 4
 
 # Rays traced at once: each takes about 250 bytes while it is followed through panes and counted.
 BATCH = 2**18
@@ -80,31 +84,33 @@ def trace_light(
 ) -> dict[str, NDArray[np.float32]]:
     """Return the radiance that each emitter sends to each pixel directly, through panes and by way of mirrors.
 
-    ``(H, W, 3)``, by the names of ``trace_surfaces``, whose split rays these are. Emitters that no ray meets are
-    left out.
+    ``(H, W, 3)``, by the names of ``trace_surfaces``. Emitters that no ray meets are left out.
     """
     (width, height), shapes = resolution, graph.shapes()
     objects = (*(name for name, _, _ in shapes), "background")
     object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
     light: dict[str, NDArray[np.float32]] = {}
-    for first, count in batches(resolution):
-        shape, radiance = _trace_light(graph.scene, sensor, resolution, first, count)
+    for (first, count), turn in itertools.product(batches(resolution), range(0, RAYS, RAYS // TURNS)):
+        shape, radiance = _trace_light(graph.scene, sensor, resolution, first, count, turn)
         of_ray, pixel = object_of_shape[shape], np.arange(count * RAYS) // RAYS
         for index in np.unique(of_ray[radiance.any(0)]):
             seen = light.setdefault(objects[index], np.zeros((height * width, 3), np.float32))
             for channel, own in enumerate((of_ray == index) * radiance):
-                seen[first : first + count, channel] = np.bincount(pixel, own, count) / RAYS
+                seen[first : first + count, channel] += np.bincount(pixel, own, count) / (RAYS * TURNS)
     return {name: seen.reshape(height, width, 3) for name, seen in light.items()}
 
 
 def _trace_light(
-    scene: Any, sensor: Any, resolution: tuple[int, int], first: int, count: int
+    scene: Any, sensor: Any, resolution: tuple[int, int], first: int, count: int, turn: int
 ) -> tuple[Indices, NDArray[Any]]:
-    """Return Dr.Jit's index of the shape that each ray meets, and the radiance from it, ``(3, rays)``."""
+    """Return Dr.Jit's index of the shape that each ray meets, and the radiance from it, ``(3, rays)``.
+
+    With another ``turn``, a ray takes another of the lobes of a pane.
+    """
     with dr.suspend_grad():
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        ray, hit, throughput = follow_specular(scene, ray, hit, pixel, point)
+        ray, hit, throughput = follow_specular(scene, ray, hit, pixel, point + dr.opaque(mi.UInt32, turn))
         interaction = hit.compute_surface_interaction(ray)
         radiance = throughput * interaction.emitter(scene).eval(interaction) & (dr.max(weight) > 0)
         shape = _visible_shape(interaction)
