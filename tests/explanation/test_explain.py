@@ -18,7 +18,7 @@ from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
 from scenecaptum.explanation._sources import find_sources
-from scenecaptum.explanation._threshold import edge_loss, lamp_edge_notes
+from scenecaptum.explanation._threshold import Lamps, edge_loss, lamp_edge_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import format_with_error, plot_bars, table_text
@@ -428,7 +428,7 @@ def test_what_a_rating_lacks_is_what_a_finer_picture_has_more(mi):
     def rated(width: int, spp: int) -> tuple[float, str]:
         renderer = bulb_before_a_wall(mi, width, 0.1, spp)
         metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
-        found = lamp_edge_notes(metric, image, renderer.small_lamps(), renderer.lamp_coverage())
+        found = lamp_edge_notes(metric, image, Lamps.of(renderer))
         return metric.hard(image).item(), "".join(found)
 
     said = {width: rated(width, spp) for width, spp in ((8, 64), (32, 4096), (64, 1024), (128, 64), (512, 4))}
@@ -470,13 +470,60 @@ def test_what_a_window_to_the_sky_lacks_is_what_a_finer_picture_has_more(mi):
         renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=spp, max_depth=3)
         metric, image = metrics.UnifiedGlareRating(renderer.camera), renderer(seed=shifted())
         assert renderer.small_lamps() == {}
-        return metric.hard(image).item(), edge_loss(metric, image, {}, renderer.lamp_coverage()).missing
+        return metric.hard(image).item(), edge_loss(metric, image, Lamps.of(renderer)).missing
 
     (fine, rest), *coarse = (rated(width, spp) for width, spp in ((256, 16), (32, 1024), (20, 1024)))
     assert rest < 0.2
     for value, missing in coarse:
         assert missing > 0.2
         assert value + missing == pytest.approx(fine + rest, abs=8 * math.log10(1.1))
+
+
+@pytest.mark.parametrize("width", [16, 24, 32])
+def test_with_what_a_reflection_lacks_a_rating_is_that_of_the_reflection(mi, width: int):
+    """Of a lamp behind the camera that a pane reflects in less than a pixel; also where a denoiser takes it."""
+    transform = mi.ScalarTransform4f()
+    radiance, radius, place = 600.0, 0.15, [0.8, 0.5, 6.0]
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 60,
+            "to_world": transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
+        },
+        "pane": {"type": "rectangle", "bsdf": {"type": "thindielectric"}},
+        "outside": {"type": "rectangle", "to_world": transform.translate([0, 0, -2]).scale(9)},
+        "dusk": {"type": "constant", "radiance": 0.1},
+        "floor_lamp": {
+            "type": "sphere",
+            "radius": radius,
+            "center": place,
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": radiance}},
+        },
+    }
+    renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=1024, max_depth=4)
+    metric, image, lamps = (
+        metrics.UnifiedGlareRating(renderer.camera),
+        renderer(seed=shifted()),
+        Lamps.of(renderer),
+    )
+    without = image.clone()
+    is_lamp = lamps.reflected["floor_lamp"].fraction > 0
+    without[is_lamp] = image[~is_lamp].mean(0)
+    # As a picture of many pixels has it: a disc in the direction of the mirror image, at 2/26 of the luminance.
+    finer = Camera.perspective(512, 512, fov_x=60)
+    to_image = torch.tensor([place[0], place[1], place[2] + 4]).double()
+    is_disc = finer.directions @ to_image / to_image.norm() > math.cos(radius / to_image.norm())
+    picture = torch.where(is_disc[..., None], radiance / 13, image[~is_lamp].mean(0).double())
+    expected = metrics.UnifiedGlareRating(finer).hard(picture).item()
+    for shown in (image, without):
+        missing, names = edge_loss(metric, shown, lamps)
+        assert names == ["the reflection of floor_lamp"]
+        assert metric.hard(shown).item() + missing == pytest.approx(expected, abs=8 * math.log10(1.3))
+    (note,) = lamp_edge_notes(metric, without, lamps)
+    assert note.startswith("caution: pixels at the edges of the reflection of floor_lamp average its light")
+    assert note.endswith("use a higher resolution and more samples")
 
 
 def test_a_change_with_what_lamps_lack_is_that_of_a_finer_picture(mi):
@@ -501,14 +548,14 @@ def test_only_lamps_that_lose_much_are_named():
     covered = {"half": torch.zeros(8, 8), "whole": torch.zeros(8, 8), "dim": torch.zeros(8, 8)}
     covered["half"][2, 3:5], covered["whole"][4, 3:5], covered["dim"][6, 3:5] = 0.5, 1.0, 0.5
     image[2, 3:5], image[4, 3:5], image[6, 3:5] = 150.0, 150.0, 20.0
-    (note,) = lamp_edge_notes(metric, image, {}, covered)
+    (note,) = lamp_edge_notes(metric, image, Lamps({}, covered, {}))
     assert "pixels at the edges of half average its light with what is around it" in note
     # Two halves of a pixel of 300 are one of it, in place of two of 150.
     image[6, 3:5] = 0.5
     resolved = image.clone()
     resolved[2, 3:5] = 300.0 / 2**0.5
     missing = metric.hard(resolved).item() - metric.hard(image).item()
-    (note,) = lamp_edge_notes(metric, image, {}, covered)
+    (note,) = lamp_edge_notes(metric, image, Lamps({}, covered, {}))
     assert float(re.search(r"by about ([\d.]+)", note)[1]) == pytest.approx(missing, rel=0.05)
 
 
@@ -520,7 +567,7 @@ def test_small_lamps_in_one_pixel_add_up():
         lamps = {
             str(n): SmallLamp(torch.full((3,), 300.0), one, (3, 4)) for n, one in enumerate(solid_angles)
         }
-        return [note.split("by about ")[1] for note in lamp_edge_notes(metric, image, lamps, {})]
+        return [note.split("by about ")[1] for note in lamp_edge_notes(metric, image, Lamps(lamps, {}, {}))]
 
     assert said(1e-5, 1e-5) == said(2e-5) != said(1e-5)
 
@@ -530,7 +577,7 @@ def test_without_small_lamps_nothing_is_missing_from_a_negative_rating():
     image = torch.full((8, 8, 3), 1e-4)
     image[3, 4] = 2e-4
     assert metric.hard(image) < 0
-    assert lamp_edge_notes(metric, image, {}, {}) == []
+    assert lamp_edge_notes(metric, image, Lamps({}, {}, {})) == []
 
 
 def test_a_noisy_uniformity_is_cautioned():

@@ -125,3 +125,36 @@ def test_small_lamps_are_as_the_values_have_them(bulbs: dict[str, Any]) -> None:
         n: lamp.pixel for n, lamp in as_loaded.items()
     }
     assert again["small"].radiance.tolist() == pytest.approx([30.0] * 3)
+
+
+@pytest.mark.parametrize("width", [8, 16, 64])
+@pytest.mark.parametrize(("glass", "reflected"), [("thindielectric", 2 / 26), ("conductor", 0)])
+def test_reflections_have_the_light_of_the_lamp_at_any_resolution(
+    mi: Any, width: int, glass: str, reflected: float
+) -> None:
+    """Also its square. A pane of an index of 1.5 reflects a 26th of the light at each side; mirrors are none."""
+    transform = mi.ScalarTransform4f()
+    scene = {
+        "type": "scene",
+        "camera": {
+            "type": "perspective",
+            "fov": 60,
+            "to_world": transform.look_at(origin=[0, 0, 4], target=[0, 0, 0], up=[0, 1, 0]),
+        },
+        "pane": {"type": "rectangle", "to_world": transform.scale(9), "bsdf": {"type": glass}},
+        "bulb": {**bulb(0.4, 0.5, 0.0), "center": [0.5, 0.2, 6.0]},
+        "ahead": {**bulb(0.4, 0.5, 0.0), "center": [0.5, 0.2, -6.0]},
+    }
+    renderer = SceneRenderer(scene, "emitters", resolution=(width, width), spp=1)
+    found = renderer.reflections()
+    assert {*found} == ({"bulb"} if reflected else set())
+    if reflected:
+        radiance, fraction = found["bulb"].radiance[..., 0].double(), found["bulb"].fraction
+        solid_angle = math.pi * 0.4**2 / (0.5**2 + 0.2**2 + 10**2)
+        for power in (1, 2):
+            sent = (radiance**power * fraction * renderer.camera.solid_angles).sum().item()
+            assert sent == pytest.approx(
+                (60 * reflected) ** power * solid_angle, rel=0.15
+            )  # 64 positions in a pixel
+        off = {name: torch.zeros(3) for name in renderer.parameters if name.endswith("radiance.value")}
+        assert renderer.reflections(off) == {}

@@ -43,6 +43,7 @@ from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 from ._threshold import (
+    Lamps,
     edge_loss,
     is_near_threshold,
     lamp_edge_notes,
@@ -232,7 +233,7 @@ def _edge_notes(
     renderer: SceneRenderer,
     values: Mapping[str, torch.Tensor] | None,
 ) -> list[str]:
-    return lamp_edge_notes(metric, image, renderer.small_lamps(values), renderer.lamp_coverage(values))
+    return lamp_edge_notes(metric, image, Lamps.of(renderer, values))
 
 
 def missing_at_edges(
@@ -241,7 +242,7 @@ def missing_at_edges(
     """Return how much a rating lacks of lamps that cover pixels in part; 0 where it is none of glare."""
     if not isinstance(metric, GlareRating) or not isinstance(renderer, SceneRenderer):
         return 0.0
-    return edge_loss(metric, image, renderer.small_lamps(values), renderer.lamp_coverage(values)).missing
+    return edge_loss(metric, image, Lamps.of(renderer, values)).missing
 
 
 def _rendered(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple, TypeGuard
 
 import torch
@@ -10,15 +10,16 @@ from torch.nn import functional
 
 from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
-from ..rendering import FILLED, SmallLamp
+from ..rendering import FILLED, Reflection, SceneRenderer, SmallLamp
 from ..visualization import Format, advised, first_few, rounded
-from ._sources import PURITY
+from ._sources import PURITY, TINY
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
 NOTABLE, MUCH = 0.01, 0.05  # of a rating
 TOO_LOW = "the rating is too low"
 AROUND = 2  # pixels within which the luminance of a lamp is that at its edge
+REFLECTION = "the reflection of "
 NAMED = 0.1  # of what the most important lamp loses
 FACTOR = 5.0  # of the mean luminance: the other usual threshold
 ASIDE = 0.03  # of that threshold: how far noise may take a source
@@ -67,6 +68,19 @@ def has_absolute_threshold(metric: Metric) -> TypeGuard[GlareRating]:
     return isinstance(metric, GlareRating) and metric.threshold_factor is None
 
 
+class Lamps(NamedTuple):
+    """What pixels show of lamps and of the sky, by name, as ``SceneRenderer`` has it."""
+
+    small: Mapping[str, SmallLamp]  # those that cover less than half of any pixel
+    covered: Mapping[str, torch.Tensor]  # the fractions of the pixels that the others cover, (H, W)
+    reflected: Mapping[str, Reflection]  # in panes
+
+    @classmethod
+    def of(cls, renderer: SceneRenderer, values: Mapping[str, torch.Tensor] | None = None) -> Lamps:
+        """Return those of a scene with some values."""
+        return cls(renderer.small_lamps(values), renderer.lamp_coverage(values), renderer.reflections(values))
+
+
 class EdgeLoss(NamedTuple):
     """By how much pixels that lamps cover in part make a rating too low, and the lamps that lose most."""
 
@@ -74,56 +88,48 @@ class EdgeLoss(NamedTuple):
     lamps: list[str]
 
 
-def edge_loss(
-    metric: GlareRating,
-    image: torch.Tensor,
-    small: Mapping[str, SmallLamp],
-    covered: Mapping[str, torch.Tensor],
-) -> EdgeLoss:
+def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLoss:
     """Return by how much a picture is rated too low because of pixels that lamps cover in part.
 
     The luminance of such a pixel is averaged with what surrounds the lamp, and glare grows faster than luminance:
-    with its square. ``small`` are the lamps that cover less than half of any pixel, ``covered`` the fractions of
-    the pixels that the others cover, ``(H, W)``.
+    with its square.
     """
-    threshold = metric.held_at(image).threshold / metric.efficacy
-    lamps = {
-        name: lamp
-        for name, lamp in _lamps(metric, image, small, covered).items()
-        if (lamp.luminance > threshold).any()
-    }
-    if not lamps:
+    threshold, solid_angles = metric.held_at(image).threshold / metric.efficacy, metric.camera.solid_angles
+    shown = luminance(image)
+    direct = _bright(_directly_seen(metric, shown, lamps), threshold)
+    reflected = _bright(_reflected(shown, solid_angles, lamps.reflected), threshold)
+    bright = [*direct.values(), *reflected.values()]
+    if not bright:
         return EdgeLoss(0.0, [])
     # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
-    squares = torch.stack([lamp.fraction * lamp.luminance**2 for lamp in lamps.values()]).sum(0)
-    brightest = torch.stack([(lamp.fraction > 0) * lamp.luminance for lamp in lamps.values()]).amax(0)
-    shown, value = luminance(image), metric.hard(image).item()
-    resolved = image.where(squares[..., None] == 0, torch.maximum(shown, squares.sqrt())[..., None])
-    compared = image.where(squares[..., None] == 0, brightest[..., None].to(image))
-    missing = metric.hard(resolved, compared=compared).item() - value
-    return EdgeLoss(
-        missing, _losing_most({n: lamp.lost(metric.camera.solid_angles) for n, lamp in lamps.items()})
+    resolved = _with_reflections(shown, reflected.values())
+    for_lamps = sum((lamp.fraction * lamp.luminance**2 for lamp in direct.values()), torch.zeros_like(shown))
+    resolved = torch.maximum(resolved, for_lamps.sqrt())[..., None]
+    brightest = torch.stack([(lamp.fraction > 0) * lamp.luminance for lamp in bright]).amax(0)[..., None]
+    changed = metric.hard(
+        image.where(brightest == 0, resolved), compared=image.where(brightest == 0, brightest.to(image))
     )
+    lost = {name: lamp.lost(solid_angles) for name, lamp in (direct | reflected).items()}
+    return EdgeLoss(changed.item() - metric.hard(image).item(), _losing_most(lost))
 
 
-def lamp_edge_notes(
-    metric: GlareRating,
-    image: torch.Tensor,
-    small: Mapping[str, SmallLamp],
-    covered: Mapping[str, torch.Tensor],
-) -> list[str]:
+def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> list[str]:
     """Return a note on what ``edge_loss`` says a rating lacks at the edges of lamps, a caution if it is much."""
-    missing, names = edge_loss(metric, image, small, covered)
+    missing, names = edge_loss(metric, image, lamps)
     value = abs(metric.hard(image).item())  # a rating may be negative
     if missing <= NOTABLE * value:
         return []
     caution = "caution: " if missing > MUCH * value else ""
     their, them = ("its", "it") if len(names) == 1 else ("their", "them")
+    few, more = "", ""
+    if any(name.startswith(REFLECTION) for name in names):
+        # Where its pixels have light of few samples, the denoiser takes it for noise.
+        few, more = ", and few samples meet a small reflection", " and more samples"
     return [
         advised(
             f"{caution}pixels at the edges of {first_few(names)} average {their} light with what is around "
-            f"{them}: {TOO_LOW}, by about {rounded(missing, 2)}",
-            "use a higher resolution",
+            f"{them}{few}: {TOO_LOW}, by about {rounded(missing, 2)}",
+            f"use a higher resolution{more}",
         )
     ]
 
@@ -134,39 +140,63 @@ def _losing_most(lost: Mapping[str, float]) -> list[str]:
 
 
 class _Lamp(NamedTuple):
-    """The luminance of a lamp, before the efficacy, and the fraction that it covers of the pixels at its edge.
+    """The luminance of a lamp or of its reflection, and the fraction that it covers of the pixels at its edge.
 
-    Both are ``(H, W)``. One that covers less than half of any pixel has all its light in one. ``most`` is the most
-    that it covers.
+    Both are ``(H, W)``, the luminance before the efficacy. A lamp that covers less than half of any pixel has all
+    its light in one. ``most`` is the most that it covers. Of a reflection, ``lacking`` is the part of its light
+    that is not in the picture.
     """
 
     luminance: torch.Tensor
     fraction: torch.Tensor
-    most: float
+    most: float = 1.0
+    lacking: float = 0.0
 
     def lost(self, solid_angles: torch.Tensor) -> float:
         """Return how much of its luminance² · solid angle the lamp loses to averaging."""
-        lost = self.fraction * (1 - self.fraction.clamp(max=self.most))
+        averaged = (1 - self.lacking) ** 2 * self.fraction.clamp(max=self.most)
+        lost = self.fraction * (1 - averaged)
         return (self.luminance**2 * lost * solid_angles.to(lost)).sum().item()
 
 
-def _lamps(
-    metric: GlareRating,
-    image: torch.Tensor,
-    small: Mapping[str, SmallLamp],
-    covered: Mapping[str, torch.Tensor],
-) -> dict[str, _Lamp]:
-    shown, lamps = luminance(image), {}
-    for name, mask in covered.items():
+def _bright(lamps: Mapping[str, _Lamp], threshold: float) -> dict[str, _Lamp]:
+    return {name: lamp for name, lamp in lamps.items() if (lamp.luminance > threshold).any()}
+
+
+def _directly_seen(metric: GlareRating, shown: torch.Tensor, lamps: Lamps) -> dict[str, _Lamp]:
+    found = {}
+    for name, mask in lamps.covered.items():
         fraction = mask.to(shown)
         is_edge = functional.max_pool2d(1 - fraction[None], 3, 1, 1)[0] > 0  # or beside one
-        lamps[name] = _Lamp(_luminance_of_lamp(shown, fraction), fraction * is_edge, 1.0)
-    for name, lamp in small.items():
+        found[name] = _Lamp(_luminance_of_lamp(shown, fraction), fraction * is_edge)
+    for name, lamp in lamps.small.items():
         fraction = torch.zeros_like(shown)
         fraction[lamp.pixel] = lamp.solid_angle / metric.camera.solid_angles[lamp.pixel].item()
         own = luminance(lamp.radiance[None, None]).to(shown)
-        lamps[name] = _Lamp(own.expand_as(shown), fraction, FILLED)
-    return lamps
+        found[name] = _Lamp(own.expand_as(shown), fraction, FILLED)
+    return found
+
+
+def _reflected(
+    shown: torch.Tensor, solid_angles: torch.Tensor, reflections: Mapping[str, Reflection]
+) -> dict[str, _Lamp]:
+    """Return reflections with what a picture lacks of them: a denoiser takes a few bright pixels for noise."""
+    found = {}
+    for name, one in reflections.items():
+        own, fraction = luminance(one.radiance).to(shown), one.fraction.to(shown)
+        light = own * fraction * solid_angles.to(shown)
+        there = (shown * solid_angles.to(shown))[light > 0].sum() / light.sum().clamp_min(TINY)
+        found[REFLECTION + name] = _Lamp(own, fraction, lacking=max(0.0, 1 - there.item()))
+    return found
+
+
+def _with_reflections(shown: torch.Tensor, reflections: Iterable[_Lamp]) -> torch.Tensor:
+    """Return the root of the mean of luminance² in each pixel, ``(H, W)``: over what else it shows, too."""
+    mean, variance = shown, torch.zeros_like(shown)
+    for one in reflections:
+        mean = mean + one.lacking * one.fraction * one.luminance
+        variance = variance + one.fraction * (1 - one.fraction) * one.luminance**2
+    return (mean**2 + variance).sqrt()
 
 
 def _luminance_of_lamp(shown: torch.Tensor, fraction: torch.Tensor) -> torch.Tensor:

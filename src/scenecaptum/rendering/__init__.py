@@ -12,8 +12,9 @@ from ._integrators import IntegratorKind as IntegratorKind
 from ._integrators import register_integrators as register_integrators
 from ._plan import RenderPlan as RenderPlan
 from ._renderer import SceneRenderer as SceneRenderer
+from ._seen_lamps import FILLED as FILLED
+from ._seen_lamps import Reflection as Reflection
+from ._seen_lamps import SmallLamp as SmallLamp
 from ._sensors import SENSORS as SENSORS
 from ._sensors import SensorType as SensorType
 from ._sensors import named_sensors as named_sensors
-from ._small_lamp import FILLED as FILLED
-from ._small_lamp import SmallLamp as SmallLamp

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ import torch
 from ..denoising import Guides
 from ..scene import Moved
 from ._live_scene import LiveScene
-from ._visibility import BATCH, RAYS, batches, camera_rays, film_position, follow_specular, rays_from
+from ._visibility import RAYS, batches, camera_rays, film_position, follow_specular, rays_from, rays_in
 
 # Rays in a pixel where a lamp ends. The rays of other pixels resolve a sixteenth of one: the light that they miss
 # is noise to the denoiser, and biased the derivative of a rating of glare by 1.5 %.
@@ -83,24 +83,16 @@ def _emission(scene: Any, sensor: Any, resolution: tuple[int, int]) -> torch.Ten
     block = mi.ImageBlock(resolution, (0, 0), 4, rfilter=sensor.film().rfilter(), border=False)
     with dr.suspend_grad():
         means = torch.cat([_mean_light(scene, sensor, resolution, *pixels) for pixels in batches(resolution)])
-        edge = _edges(means.reshape(height, width, 3)).flatten()
-        for pixel, point in _rays_in(~edge, RAYS):
+        edge = _edges(means.reshape(height, width, 3)).flatten().numpy()
+        for pixel, point in rays_in((~edge).nonzero()[0], RAYS):
             light = dr.gather(mi.Color3f, mi.Float(means.flatten().numpy()), pixel)
             _put(block, film_position(resolution, pixel, point), light, RAYS)
-        for pixel, point in _rays_in(edge, EDGE_RAYS):
+        for pixel, point in rays_in(edge.nonzero()[0], EDGE_RAYS):
             position = film_position(resolution, pixel, point, EDGE_RAYS)
             light = _light(scene, *rays_from(sensor, resolution, position))
             _put(block, position, light, EDGE_RAYS)
         filtered: torch.Tensor = block.tensor().torch().cpu()
     return filtered[..., :3] / filtered[..., 3:]
-
-
-def _rays_in(chosen: torch.Tensor, rays: int) -> Iterator[tuple[Any, Any]]:
-    """Yield the pixels of the rays of chosen pixels and their indices in these, ``BATCH`` rays at once."""
-    for pixels in chosen.nonzero().flatten().split(BATCH // rays):
-        if len(pixels):  # of an empty tensor, one part is empty
-            index = dr.arange(mi.UInt32, len(pixels) * rays)
-            yield dr.repeat(mi.UInt32(pixels.numpy()), rays), index % rays
 
 
 def _put(block: Any, position: Any, light: Any, rays: int) -> None:
@@ -137,8 +129,8 @@ def _guide_rays(
     with dr.suspend_grad():
         ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        ray, hit, _ = follow_specular(scene, ray, hit, pixel, point)
-        si = hit.compute_surface_interaction(ray)
+        followed = follow_specular(scene, ray, hit, pixel, point)
+        si = followed.hit.compute_surface_interaction(followed.ray)
         valid = dr.max(weight) > 0  # not outside a fisheye's circle
         albedo = dr.select(valid, _albedo(si), 0)
         normal = dr.select(valid & si.is_valid(), si.sh_frame.n, 0)

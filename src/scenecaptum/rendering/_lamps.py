@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..camera import Camera
 from ._backward import one_for_each
 from ._registry import shape_index
-from ._small_lamp import SmallLamp
+from ._seen_lamps import SmallLamp
 from ._visibility import RAYS, follow_specular
 
 _SIDE = 4  # of the grid of points on a lamp, which has as many as a pixel has rays
@@ -88,9 +88,9 @@ def _trace(scene: Any, origin: NDArray[Any], towards: NDArray[Any]) -> tuple[NDA
         ray = mi.Ray3f(mi.Point3f(origin), mi.Vector3f(towards.T))
         hit = scene.ray_intersect_preliminary(ray)
         # Of the points of a lamp behind a pane, as many rays are reflected as of the points in a pixel.
-        ray, hit, throughput = follow_specular(scene, ray, hit, index // RAYS, index % RAYS)
-        si = hit.compute_surface_interaction(ray)
+        followed = follow_specular(scene, ray, hit, index // RAYS, index % RAYS)
+        si = followed.hit.compute_surface_interaction(followed.ray)
         shape = dr.reinterpret_array(mi.UInt32, si.shape)
-        radiance = throughput * si.emitter(scene).eval(si)
+        radiance = followed.throughput * si.emitter(scene).eval(si)
         dr.eval(shape, radiance)
     return np.broadcast_to(radiance.numpy(), (3, len(towards))).T, shape.numpy()

@@ -54,6 +54,7 @@ from ._autograd import RenderCall, render
 from ._integrators import register_integrators
 from ._memory import available, predict, require
 from ._plan import RenderPlan, make_plan, with_integrator
+from ._seen_lamps import FILLED, Reflection, SmallLamp
 from ._sensors import (
     GRID_SIZE,
     SensorLike,
@@ -65,7 +66,6 @@ from ._sensors import (
     is_grid,
     shows_a_view,
 )
-from ._small_lamp import FILLED, SmallLamp
 
 if TYPE_CHECKING:
     from ._visibility import Follow
@@ -692,9 +692,7 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
             masks = {name: torch.from_numpy(surfaces.mask(name)) for name in self._lamps()}
             sky = self._graph.background()
         if sky:
-            # The last object of a map is the background.
-            name = next((used.split(".")[0] for used in surfaces.parameters[-1]), surfaces.objects[-1])
-            masks[name] = torch.from_numpy(surfaces.mask(surfaces.objects[-1]))
+            masks[_sky_name(surfaces)] = torch.from_numpy(surfaces.mask(surfaces.objects[-1]))
         return {name: mask for name, mask in masks.items() if mask.max() >= FILLED}
 
     def direct_light(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, torch.Tensor]:
@@ -703,14 +701,33 @@ class SceneRenderer(SceneOwner, torch.nn.Module):
         Also through panes and by way of mirrors, with what these absorb. By the names of the objects that
         ``see_through`` shows; empty where that is None. ``values`` are as for a render.
         """
-        from ._visibility import trace_light
+        from ._direct_light import trace_light
 
+        return self._traced(trace_light, values)
+
+    def reflections(self, values: Mapping[str, torch.Tensor] | None = None) -> dict[str, Reflection]:
+        """Return what the camera sees of lamps and the sky by way of panes, which transmit light, too.
+
+        By the names of ``lamp_coverage``. ``values`` are as for a render.
+        """
+        from ._direct_light import trace_reflections
+
+        if (surfaces := self.surfaces) is None:
+            return {}
+        names = {surfaces.objects[-1]: _sky_name(surfaces)}
+        reflections = self._traced(trace_reflections, values)
+        return {names.get(name, name): one for name, one in reflections.items()}
+
+    def _traced(
+        self,
+        trace: Callable[[SceneGraph, Any, tuple[int, int]], dict[str, T]],
+        values: Mapping[str, torch.Tensor] | None,
+    ) -> dict[str, T]:
         if self._stacked or not self.shows_a_view:
             return {}
         live = self._views[0].live
         with live.with_values(self._changed(values or {})):
-            light = trace_light(self._graph, live.sensor, live.resolution)
-        return {name: torch.from_numpy(seen) for name, seen in light.items()}
+            return trace(self._graph, live.sensor, live.resolution)
 
     def _changed(self, values: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Return the values among ``values`` that differ from those of the scene as loaded."""
@@ -1301,3 +1318,8 @@ def _make(arguments: Mapping[str, Any], replaced: Mapping[str, Any], variant: st
     with exclusively(variant):
         renderer = SceneRenderer(**{**arguments, "scene": restored(arguments["scene"])})
     return renderer.replace(**replaced) if replaced else renderer
+
+
+def _sky_name(surfaces: SurfaceMap) -> str:
+    """Return the name of the emitter that the background is, the last object of a map."""
+    return next((used.split(".")[0] for used in surfaces.parameters[-1]), surfaces.objects[-1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -23,9 +22,6 @@ from ._texels import Indices, ShownTexture
 # within 1/16 of a pixel, and the map is the same at every call.
 RAYS = 16
 
-# How often each of these rays is followed where it meets panes, for their light. A pane reflects a twelfth.
-TURNS = 4
-
 # Rays traced at once: each takes about 250 bytes while it is followed through panes and counted.
 BATCH = 2**18
 
@@ -33,9 +29,9 @@ BATCH = 2**18
 MAX_SPECULAR_BOUNCES = 12
 
 # What rays do at specular surfaces: end there, or continue. Where a surface reflects and transmits, they are split
-# as its light is, or all transmitted.
-Follow = Literal["nothing", "split", "transmitted"]
-TRANSMITTED = 1 - 2**-24  # the sample of a lobe that panes take as transmission
+# as its light is, or all transmitted or all reflected.
+Follow = Literal["nothing", "split", "transmitted", "reflected"]
+SAMPLES = {"transmitted": 1 - 2**-24, "reflected": 0.0}  # of lobes, as panes take them
 
 
 def trace_surfaces(
@@ -51,10 +47,7 @@ def trace_surfaces(
 
     They may ``follow`` specular surfaces: see ``follow_specular``.
     """
-    shapes = graph.shapes()
-    width, height = resolution
-    objects = (*(name for name, _, _ in shapes), "background")
-    object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
+    (width, height), (objects, object_of_shape) = resolution, objects_of(graph)
     parts = [
         _Part.of(
             _trace(graph.scene, sensor, resolution, (first, count), textures, follow),
@@ -79,46 +72,7 @@ def trace_surfaces(
     )
 
 
-def trace_light(
-    graph: SceneGraph, sensor: Any, resolution: tuple[int, int]
-) -> dict[str, NDArray[np.float32]]:
-    """Return the radiance that each emitter sends to each pixel directly, through panes and by way of mirrors.
-
-    ``(H, W, 3)``, by the names of ``trace_surfaces``. Emitters that no ray meets are left out.
-    """
-    (width, height), shapes = resolution, graph.shapes()
-    objects = (*(name for name, _, _ in shapes), "background")
-    object_of_shape = _object_of_shape([shape for _, shape, _ in shapes])
-    light: dict[str, NDArray[np.float32]] = {}
-    for (first, count), turn in itertools.product(batches(resolution), range(0, RAYS, RAYS // TURNS)):
-        shape, radiance = _trace_light(graph.scene, sensor, resolution, first, count, turn)
-        of_ray, pixel = object_of_shape[shape], np.arange(count * RAYS) // RAYS
-        for index in np.unique(of_ray[radiance.any(0)]):
-            seen = light.setdefault(objects[index], np.zeros((height * width, 3), np.float32))
-            for channel, own in enumerate((of_ray == index) * radiance):
-                seen[first : first + count, channel] += np.bincount(pixel, own, count) / (RAYS * TURNS)
-    return {name: seen.reshape(height, width, 3) for name, seen in light.items()}
-
-
-def _trace_light(
-    scene: Any, sensor: Any, resolution: tuple[int, int], first: int, count: int, turn: int
-) -> tuple[Indices, NDArray[Any]]:
-    """Return Dr.Jit's index of the shape that each ray meets, and the radiance from it, ``(3, rays)``.
-
-    With another ``turn``, a ray takes another of the lobes of a pane.
-    """
-    with dr.suspend_grad():
-        ray, weight, pixel, point = camera_rays(sensor, resolution, first, count)
-        hit = scene.ray_intersect_preliminary(ray, coherent=True)
-        ray, hit, throughput = follow_specular(scene, ray, hit, pixel, point + dr.opaque(mi.UInt32, turn))
-        interaction = hit.compute_surface_interaction(ray)
-        radiance = throughput * interaction.emitter(scene).eval(interaction) & (dr.max(weight) > 0)
-        shape = _visible_shape(interaction)
-        dr.eval(shape, radiance)
-    return shape.numpy().astype(np.int64), np.broadcast_to(radiance.numpy(), (3, count * RAYS))
-
-
-def _visible_shape(interaction: Any) -> Any:
+def visible_shape(interaction: Any) -> Any:
     """Return Dr.Jit's index of the hit shapes: of the instance for a shape in an instance, 0 for none."""
     shape, instance = (
         dr.reinterpret_array(mi.UInt32, pointer) for pointer in (interaction.shape, interaction.instance)
@@ -151,16 +105,17 @@ def _trace(
         hit = scene.ray_intersect_preliminary(ray, coherent=True)
         interaction, coordinates = hit, []
         if follow != "nothing":
-            ray, hit, _ = follow_specular(scene, ray, hit, pixel, point, follow)
+            followed = follow_specular(scene, ray, hit, pixel, point, follow)
+            ray, hit = followed.ray, followed.hit
         if textures or follow != "nothing":
             interaction = hit.compute_surface_interaction(ray)
             coordinates = [texture.coordinates(interaction, hit, ray.d) for texture in textures]
         shape = dr.select(interaction.is_valid(), dr.reinterpret_array(mi.UInt32, interaction.shape), 0)
-        visible_shape = _visible_shape(interaction)
+        visible = visible_shape(interaction)
         valid = dr.max(weight) > 0
-        dr.eval(visible_shape, shape, valid, coordinates)
+        dr.eval(visible, shape, valid, coordinates)
     return _Hits(
-        visible_shape.numpy().astype(np.int64),
+        visible.numpy().astype(np.int64),
         shape.numpy().astype(np.int64),
         np.broadcast_to(valid.numpy(), count * RAYS),
         [tuple(axis.numpy() for axis in axes) for axes in coordinates],
@@ -191,6 +146,14 @@ def rays_from(sensor: Any, resolution: tuple[int, int], position: Any) -> tuple[
     return one_for_each(ray, sample), weight
 
 
+def rays_in(pixels: Indices, rays: int) -> Iterator[tuple[Any, Any]]:
+    """Yield the pixels of the rays of some pixels and their indices in these, ``BATCH`` rays at once."""
+    step = BATCH // rays
+    for part in (pixels[first : first + step] for first in range(0, len(pixels), step)):
+        index = dr.arange(mi.UInt32, len(part) * rays)
+        yield dr.repeat(mi.UInt32(part), rays), index % rays
+
+
 def film_position(resolution: tuple[int, int], pixel: Any, point: Any, rays: int = RAYS) -> Any:
     """Return where on the film, in pixels, rays begin that have these indices in these pixels.
 
@@ -204,51 +167,65 @@ def film_position(resolution: tuple[int, int], pixel: Any, point: Any, rays: int
     )
 
 
+@dataclass
+class Followed:
+    """Where rays end that specular surfaces reflect and transmit.
+
+    ``ray`` is the last piece of each and ``hit`` what it meets; ``throughput`` is the part of the light there that
+    reaches the camera along split rays, and ``reflected`` whether a surface reflects it that transmits, too.
+    """
+
+    ray: Any
+    hit: Any
+    throughput: Any
+    reflected: Any
+
+
 def follow_specular(
-    scene: Any, ray: Any, hit: Any, pixel: Any, point: Any, follow: Follow = "split"
-) -> tuple[Any, Any, Any]:
+    scene: Any, ray: Any, hit: Any, pixel: Any, point: Any, follow: Follow = "split", lobes: int = RAYS
+) -> Followed:
     """Follow rays by specular reflection and transmission to the first surface that also scatters light.
 
-    Where a surface reflects and transmits, the rays of a pixel are split as its light is, or transmitted.
-    Emitters, and surfaces with a smooth lobe too (varnish), end a ray. Returns the last piece of each ray, what
-    it hits, and the part of the light there that reaches the camera along split rays.
+    Where a surface reflects and transmits, the rays of a pixel are split as its light is, into ``lobes``, or
+    transmitted, or reflected. Emitters, and surfaces with a smooth lobe too (varnish), end a ray.
     """
     context = mi.BSDFContext()
 
-    def bounced(
-        ray: Any, hit: Any, throughput: Any, bounce: Any, active: Any
-    ) -> tuple[Any, Any, Any, Any, Any]:
-        si = hit.compute_surface_interaction(ray, active=active)
+    def bounced(state: Followed, bounce: Any, active: Any) -> tuple[Followed, Any, Any]:
+        si = state.hit.compute_surface_interaction(state.ray, active=active)
         bsdf = si.bsdf()
-        # Stratified lobe selection: one ray of the pixel in each sixteenth. The strata are permuted at each
+        # Stratified lobe selection: one ray of the pixel in each part. The strata are permuted at each
         # bounce, so that the lobes of successive surfaces are uncorrelated.
-        stratum = ((2 * bounce + 7) * point + 5 * bounce) % RAYS
-        split = (mi.Float(stratum) + mi.sample_tea_float32(pixel, bounce)) / RAYS
-        lobe = split if follow == "split" else mi.Float(TRANSMITTED)
+        stratum = ((2 * bounce + 7) * point + 5 * bounce) % lobes
+        split = (mi.Float(stratum) + mi.sample_tea_float32(pixel, bounce)) / lobes
+        lobe = split if follow == "split" else mi.Float(SAMPLES[follow])
         active &= si.is_valid() & ~si.shape.is_emitter()
         purely_specular = ~mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         sample, value = bsdf.sample(context, si, lobe, mi.Point2f(0.5), active)
         is_null = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Null)
         is_delta = purely_specular & mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
         active &= (is_null | is_delta) & (dr.max(value) > 0)
+        is_mirrored = mi.has_flag(sample.sampled_type, mi.BSDFFlags.DeltaReflection)
         further = si.spawn_ray(si.to_world(sample.wo))
         next_hit = scene.ray_intersect_preliminary(further, active=active)
-        throughput = dr.select(active, throughput * value, throughput)
-        return (
-            dr.select(active, further, ray),
-            dr.select(active, next_hit, hit),
-            throughput,
-            bounce + 1,
-            active,
+        next_state = Followed(
+            dr.select(active, further, state.ray),
+            dr.select(active, next_hit, state.hit),
+            dr.select(active, state.throughput * value, state.throughput),
+            state.reflected | (active & is_mirrored & (sample.pdf < 1)),
         )
+        return next_state, bounce + 1, active
 
+    nothing = dr.zeros(mi.UInt32, dr.width(pixel))
+    start = Followed(mi.Ray3f(ray), hit, mi.Color3f(1), nothing > 0)
     # A symbolic loop: its body is compiled once, together with what follows.
-    ray, hit, throughput, _, _ = dr.while_loop(
-        (mi.Ray3f(ray), hit, mi.Color3f(1), dr.zeros(mi.UInt32, dr.width(pixel)), mi.Bool(True)),
-        lambda ray, hit, throughput, bounce, active: active & (bounce < MAX_SPECULAR_BOUNCES),
+    followed: Followed
+    followed, _, _ = dr.while_loop(
+        (start, nothing, mi.Bool(True)),
+        lambda state, bounce, active: active & (bounce < MAX_SPECULAR_BOUNCES),
         bounced,
     )
-    return ray, hit, throughput
+    return followed
 
 
 @dataclass
@@ -296,15 +273,16 @@ def _concatenated(parts: Sequence[TexelMap], offsets: Indices) -> TexelMap:
     )
 
 
-def _object_of_shape(shapes: list[Any]) -> Indices:
-    """Map Dr.Jit's shape indices to indices into ``shapes``; ``len(shapes)`` for any other shape and none.
+def objects_of(graph: SceneGraph) -> tuple[tuple[str, ...], Indices]:
+    """Return the names of the shapes of a scene and its background, and their number by Dr.Jit's shape index.
 
-    Dr.Jit counts the shapes of the whole process from 1; 0 is none.
+    Dr.Jit counts the shapes of the whole process from 1; 0 is none. Any other shape, and none, is the background.
     """
-    jit_indices = [shape_index(shape) for shape in shapes]
-    objects = np.full(max(jit_indices, default=0) + 1, len(shapes), dtype=np.int64)
-    objects[jit_indices] = np.arange(len(shapes))
-    return objects
+    shapes = graph.shapes()
+    jit_indices = [shape_index(shape) for _, shape, _ in shapes]
+    object_of_shape = np.full(max(jit_indices, default=0) + 1, len(shapes), dtype=np.int64)
+    object_of_shape[jit_indices] = np.arange(len(shapes))
+    return (*(name for name, _, _ in shapes), "background"), object_of_shape
 
 
 def _shown_parameters(graph: SceneGraph, parameters: SceneParameters) -> tuple[tuple[str, ...], ...]:

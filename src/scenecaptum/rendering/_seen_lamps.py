@@ -1,4 +1,4 @@
-"""A lamp that is smaller than a pixel."""
+"""What a camera sees of lamps whose light pixels average with what is around it."""
 
 from __future__ import annotations
 
@@ -25,3 +25,18 @@ class SmallLamp(NamedTuple):
     radiance: torch.Tensor
     solid_angle: float
     pixel: tuple[int, int]
+
+
+class Reflection(NamedTuple):
+    """What a camera sees of a lamp, or of the sky, by way of panes that reflect it.
+
+    Attributes
+    ----------
+    radiance
+        That of the reflection where a pixel shows it, ``(H, W, 3)``; 0 elsewhere.
+    fraction
+        The part of each pixel that it covers, about, ``(H, W)``.
+    """
+
+    radiance: torch.Tensor
+    fraction: torch.Tensor
