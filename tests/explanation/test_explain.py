@@ -523,6 +523,7 @@ def test_with_what_a_reflection_lacks_a_rating_is_that_of_the_reflection(mi, wid
         assert metric.hard(shown).item() + missing == pytest.approx(expected, abs=8 * math.log10(1.3))
     (note,) = lamp_edge_notes(metric, without, lamps)
     assert note.startswith("caution: pixels at the edges of the reflection of floor_lamp average its light")
+    assert "(then above 19, the limit for offices; within 22" in note
     assert note.endswith("use a higher resolution and more samples")
 
 
