@@ -114,19 +114,22 @@ def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLos
 
 
 def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> list[str]:
-    """Return a note on what ``edge_loss`` says a rating lacks at the edges of lamps, a caution if it is much."""
+    """Return a note on what ``edge_loss`` says a rating lacks at the edges of lamps.
+
+    It is a caution if that is much, or enough for another class.
+    """
     missing, names = edge_loss(metric, image, lamps)
     value = metric.hard(image).item()
     if missing <= NOTABLE * abs(value):  # a rating may be negative
         return []
-    caution = "caution: " if missing > MUCH * abs(value) else ""
+    shown, whole = metric.measure.verdict(value), metric.measure.verdict(value + missing)
+    then = "" if whole == shown else f" (then {whole})"
+    caution = "caution: " if then or missing > MUCH * abs(value) else ""
     their, them = ("its", "it") if len(names) == 1 else ("their", "them")
     few, more = "", ""
     if any(name.startswith(REFLECTION) for name in names):
         # Where its pixels have light of few samples, the denoiser takes it for noise.
         few, more = ", and few samples meet a small reflection", " and more samples"
-    shown, whole = metric.measure.verdict(value), metric.measure.verdict(value + missing)
-    then = "" if whole == shown else f" (then {whole})"
     return [
         advised(
             f"{caution}pixels at the edges of {first_few(names)} average {their} light with what is around "
