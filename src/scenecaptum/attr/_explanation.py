@@ -13,6 +13,7 @@ from ..protocols import Attribution
 from ..visualization import (
     advised,
     axis_label,
+    first_few,
     format_with_error,
     metric_name,
     metric_symbol,
@@ -71,6 +72,8 @@ class Explanation:
         is ``attribution.image``.
     no_changes
         Why there are no ``changes``, if some were asked for.
+    not_in_sources
+        What causes glare that the picture lacks, so that ``sources`` lack it, too.
     """
 
     attribution: Attribution
@@ -83,6 +86,7 @@ class Explanation:
     premises: tuple[str, ...] = ()
     picture: torch.Tensor | None = None
     no_changes: str = ""
+    not_in_sources: tuple[str, ...] = ()
 
     def sections(self) -> list[tuple[str, list[str]]]:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
@@ -235,8 +239,17 @@ class Explanation:
             + ("" if source in clear else " (uncertain)")
             for source in stated
         ]
-        rest = 1 - sum(source.share for source in stated)
-        return [*lines, f"the rest: {100 * rest:.1f} %"] if lines and rest > SMALL_REST else lines
+        if not lines:
+            return []
+        if (rest := 1 - sum(source.share for source in stated)) > SMALL_REST:
+            lines.append(f"the rest: {100 * rest:.1f} %")
+        if self.not_in_sources:
+            are, their = ("is", "its") if len(self.not_in_sources) == 1 else ("are", "their")
+            lines.append(
+                f"{first_few(self.not_in_sources)} {are} not in these shares: the picture lacks much of {their} "
+                "light, as the caution above says"
+            )
+        return lines
 
     def _change_lines(self) -> list[str]:
         if self.no_changes:

@@ -236,6 +236,7 @@ def explanation_numbers(explanation: Explanation, renderer: SceneRenderer) -> di
         },
         "premises": list(explanation.premises),
         "sources": [vars(source) for source in explanation.sources],
+        "not_in_sources": list(explanation.not_in_sources),
         "effects": [
             {"name": row.name, "label": row.label, "effect": row.effect, "standard_error": row.effect_error}
             for row in attribution.ranking()

@@ -46,6 +46,7 @@ from ._threshold import (
     Lamps,
     edge_loss,
     is_near_threshold,
+    lacking_reflections,
     lamp_edge_notes,
     relative_sentence,
     single_sample_notes,
@@ -173,7 +174,9 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     scene = renderer if isinstance(renderer, SceneRenderer) else None
     lamps = scene.small_lamps(values) if scene and isinstance(metric, GlareRating) else {}
     light = scene.direct_light(values) if scene else {}
+    lacking: tuple[str, ...] = ()
     if isinstance(metric, GlareRating):
+        lacking = lacking_reflections(metric, shown, Lamps.of(scene, values)) if scene else ()
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
             premises += _said_of(goal, scenes, metric, shown)
@@ -185,6 +188,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps, light),
         changes=_rendered(scenes, proposed, definition, metric),
         no_changes=why_none(attribution) if count and not proposed else "",
+        not_in_sources=lacking,
         goal=goal,
         picture=of_value,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple, TypeGuard
 
 import torch
@@ -127,7 +127,7 @@ def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> l
     caution = "caution: " if then or missing > MUCH * abs(value) else ""
     their, them = ("its", "it") if len(names) == 1 else ("their", "them")
     few, more = "", ""
-    if any(name.startswith(REFLECTION) for name in names):
+    if _reflections(names):
         # Where its pixels have light of few samples, the denoiser takes it for noise.
         few, more = ", and few samples meet a small reflection", " and more samples"
     return [
@@ -137,6 +137,16 @@ def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> l
             f"use a higher resolution{more}",
         )
     ]
+
+
+def lacking_reflections(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> tuple[str, ...]:
+    """Return the reflections in panes of which a picture lacks so much that a rating is much too low."""
+    missing, names = edge_loss(metric, image, lamps)
+    return _reflections(names) if missing > MUCH * abs(metric.hard(image).item()) else ()
+
+
+def _reflections(names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(name for name in names if name.startswith(REFLECTION))
 
 
 def _losing_most(lost: Mapping[str, float]) -> list[str]:
