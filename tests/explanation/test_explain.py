@@ -542,6 +542,9 @@ def test_a_change_with_what_lamps_lack_is_that_of_a_finer_picture(mi):
     before, after = (rated.hard(fine(values, seed=shifted())).item() for values in ({}, dimmed))
     assert change.exact == 0
     assert change.missing == pytest.approx(after - before, abs=8 * math.log10(1.3))
+    other = metrics.UnifiedGlareRating(coarse.camera, threshold_factor=5)
+    before, after = (other.hard(coarse(values, seed=shifted(), spp=4096)).item() for values in ({}, dimmed))
+    assert change.relative == pytest.approx(after - before, abs=8 * math.log10(1.05))
 
 
 def test_only_lamps_that_lose_much_are_named():

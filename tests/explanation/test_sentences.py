@@ -754,6 +754,18 @@ def test_a_relaxed_change_far_from_the_exact_one_is_no_guide(exact: float, missi
     assert ("compare changes by it" in legend) != is_far
 
 
+@pytest.mark.parametrize(("relative", "is_other"), [(-0.8, True), (-4.4, False), (None, False)])
+def test_a_change_by_the_threshold_is_also_stated_with_another(relative: float | None, is_other: bool):
+    """The definition and the relaxed rating fall alike."""
+    dimmed = dataclasses.replace(
+        change(-3.1, 0.04, predicted=-1.9), exact=13.4, exact_error=0.12, relative=relative
+    )
+    parts = {"definition": Definition(18.0, "within 19", error=0.2), "changes": (dimmed,)}
+    legend, line = lines(Explanation(rated(18.3, 0.1), **parts))["What would change it"]
+    assert ("neither says much" in legend) == is_other
+    assert line.endswith("; with a threshold of 5 times the mean luminance, by about −0.8") == is_other
+
+
 def test_a_change_has_exact_values_before_and_after_with_its_relaxed_effects():
     raised = dataclasses.replace(change(2.0, 0.1, predicted=2.1), exact=47.0 + 100 / 63)
     said = lines(of_daylight(46.0, 0.5, definition=Definition(47.0, "", points=63), changes=(raised,)))

@@ -42,6 +42,7 @@ OTHER_THRESHOLD = "a threshold of 5 times the mean luminance (threshold_factor=5
 GLARE_SOURCES = "Where the glare comes from"
 PICTURE_SOURCES = "What it sees in the picture: shares of the sum of |gradient × value| over the pixels"
 FOUR_DIGITS = 5e-4  # of a value
+OF_THRESHOLD = 0.5  # of a change: it is mostly that of the threshold
 _PLAIN_WIDTH = 100  # of the lines, without a terminal
 
 
@@ -255,7 +256,7 @@ class Explanation:
         if self.no_changes:
             return [self.no_changes]
         lines = [
-            f"{self._change_line(change)}{self._with_edges(change)}"
+            f"{self._change_line(change)}{self._with_edges(change)}{self._with_other_threshold(change)}"
             for change in self.changes
             if change.is_clear
         ]
@@ -294,13 +295,14 @@ class Explanation:
         relaxed = "the relaxed change, in parentheses,"
         if self.definition.step:
             return [f"{exact} by whole points; {relaxed} does not: compare changes by it"]
-        if not any(self._is_far_from_relaxed(change) for change in self.changes if change.is_clear):
+        clear = [change for change in self.changes if change.is_clear]
+        if not any(self._is_far_from_relaxed(one) or self._with_other_threshold(one) for one in clear):
             return [f"{exact} at the threshold; {relaxed} does not: compare changes by it"]
         # Both fade with the brightest pixel, the relaxed rating as a whole.
         return [
             advised(
                 f"{exact} where the main source passes the threshold, and {relaxed} falls steeply near it: where "
-                "both are far apart, neither says much",
+                "they, or the change with another threshold, are far apart, neither says much",
                 f"compare with {OTHER_THRESHOLD}",
             )
         ]
@@ -366,6 +368,16 @@ class Explanation:
         if not lacks_much(change.missing, by, error):
             return ""
         return f"; corrected for the edges of lamps, by about {signed_roughly(by + change.missing)}"
+
+    def _with_other_threshold(self, change: Change) -> str:
+        """Return the change by the other usual threshold, where a source that passes the absolute one makes it."""
+        if change.relative is None:
+            return ""
+        by, error = self._rendered_change(change)
+        apart = abs(by - change.relative)
+        if apart <= OF_THRESHOLD * abs(by) or not is_clear(apart, error or 0.0):
+            return ""
+        return f"; with a threshold of 5 times the mean luminance, by about {signed_roughly(change.relative)}"
 
     def _exact_difference(self, change: Change) -> str:
         """Return ``", by +8.0 ± 2.1 percentage points"``, by the definition; empty without a known error."""

@@ -63,6 +63,9 @@ class Change:
         Of the standard errors: one less than the replicates.
     missing
         How much more than in the scene as it is a glare rating lacks of lamps that cover pixels in part.
+    relative
+        By how much a glare rating changes whose threshold is five times the mean luminance, where the main source
+        is near an absolute one; None elsewhere.
     """
 
     name: str
@@ -77,6 +80,7 @@ class Change:
     exact_error: float | None = None
     degrees_of_freedom: int = 7
     missing: float = 0.0
+    relative: float | None = None
 
     @property
     def is_clear(self) -> bool:

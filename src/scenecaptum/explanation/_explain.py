@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 
+import numpy as np
 import torch
 
 from ..attr import Change, Definition, Explanation, SceneAttribution, VanillaSceneGradient
@@ -45,9 +46,11 @@ from ._sources import find_sources
 from ._threshold import (
     Lamps,
     edge_loss,
+    has_absolute_threshold,
     is_near_threshold,
     lacking_reflections,
     lamp_edge_notes,
+    relative_rating,
     relative_sentence,
     single_sample_notes,
     threshold_notes,
@@ -256,16 +259,19 @@ def _rendered(
     if not isinstance(metric, GlareRating):
         return tuple(rendered(scenes, one, definition)[0] for one in proposed)
 
-    def missing(images: torch.Tensor, values: Mapping[str, torch.Tensor]) -> float:
+    def rate(images: torch.Tensor, values: Mapping[str, torch.Tensor]) -> tuple[float, float]:
+        """Return what the rating of a picture lacks, and the rating by the other usual threshold."""
         shown = at_values(scenes.metric, scenes.renderer, values).transform(images.mean(0))
-        return missing_at_edges(metric, shown, scenes.renderer, values)
+        return missing_at_edges(metric, shown, scenes.renderer, values), relative_rating(metric, shown)
 
-    before = missing(scenes.images, scenes.values) if proposed else 0.0
+    before = rate(scenes.images, scenes.values) if proposed else (0.0, 0.0)
+    # The definition of a rating is stated only near its threshold.
+    is_near = definition is not None and has_absolute_threshold(metric)
     found = []
     for one in proposed:
         change, images = rendered(scenes, one, definition)
-        after = missing(images, {**scenes.values, one.name: one.after})
-        found.append(dataclasses.replace(change, missing=after - before))
+        missing, relative = np.subtract(rate(images, {**scenes.values, one.name: one.after}), before).tolist()
+        found.append(dataclasses.replace(change, missing=missing, relative=relative if is_near else None))
     return tuple(found)
 
 
