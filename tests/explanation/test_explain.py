@@ -18,7 +18,7 @@ from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
 from scenecaptum.explanation._sources import find_sources
-from scenecaptum.explanation._threshold import Lamps, edge_loss, lacking_reflections, lamp_edge_notes
+from scenecaptum.explanation._threshold import Lamps, edge_loss, lamp_edge_notes
 from scenecaptum.rendering import SmallLamp
 from scenecaptum.validation import Scenes
 from scenecaptum.visualization import format_with_error, plot_bars, table_text
@@ -518,14 +518,14 @@ def test_with_what_a_reflection_lacks_a_rating_is_that_of_the_reflection(mi, wid
     picture = torch.where(is_disc[..., None], radiance / 13, image[~is_lamp].mean(0).double())
     expected = metrics.UnifiedGlareRating(finer).hard(picture).item()
     for shown in (image, without):
-        missing, names = edge_loss(metric, shown, lamps)
-        assert names == ["the reflection of floor_lamp"]
-        assert metric.hard(shown).item() + missing == pytest.approx(expected, abs=8 * math.log10(1.3))
+        loss = edge_loss(metric, shown, lamps)
+        assert loss.lamps == ["the reflection of floor_lamp"]
+        assert loss.reflections == ("the reflection of floor_lamp",)
+        assert metric.hard(shown).item() + loss.missing == pytest.approx(expected, abs=8 * math.log10(1.3))
     (note,) = lamp_edge_notes(metric, without, lamps)
     assert note.startswith("caution: pixels at the edges of the reflection of floor_lamp average its light")
     assert "(then above 19, the limit for offices; within 22" in note
     assert note.endswith("use a higher resolution and more samples")
-    assert lacking_reflections(metric, without, lamps) == ("the reflection of floor_lamp",)
 
 
 def test_a_change_with_what_lamps_lack_is_that_of_a_finer_picture(mi):

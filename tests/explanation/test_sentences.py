@@ -205,12 +205,14 @@ def test_the_largest_shares_are_named_where_none_is_clear():
     assert rest == "the rest: 25.0 %"
 
 
-def test_what_the_picture_lacks_is_said_to_have_no_share():
+def test_shares_that_lack_light_say_so():
     sources = (Source("panel", "top", 0.99, 0.01, 2300.0),)
     lacking = ("the reflection of spot_l", "the reflection of spot_r")
     found = lines(Explanation(rated(7.0, 3.5), sources=sources, not_in_sources=lacking))
     *_, last = found["Where the glare comes from"]
-    assert last.startswith("the reflection of spot_l, the reflection of spot_r are not in these shares")
+    assert last.startswith(
+        "these shares lack light of the reflection of spot_l, the reflection of spot_r: few"
+    )
 
 
 def test_the_shares_of_other_metrics_say_of_what_they_are():

@@ -74,7 +74,7 @@ class Explanation:
     no_changes
         Why there are no ``changes``, if some were asked for.
     not_in_sources
-        What causes glare that the picture lacks, so that ``sources`` lack it, too.
+        What causes glare of which the picture lacks a part, so that ``sources`` lack it, too.
     """
 
     attribution: Attribution
@@ -245,10 +245,12 @@ class Explanation:
         if (rest := 1 - sum(source.share for source in stated)) > SMALL_REST:
             lines.append(f"the rest: {100 * rest:.1f} %")
         if self.not_in_sources:
-            are, their = ("is", "its") if len(self.not_in_sources) == 1 else ("are", "their")
+            them = "it" if len(self.not_in_sources) == 1 else "them"
             lines.append(
-                f"{first_few(self.not_in_sources)} {are} not in these shares: the picture lacks much of {their} "
-                "light, as the caution above says"
+                advised(
+                    f"these shares lack light of {first_few(self.not_in_sources)}: few samples meet {them}",
+                    "use a higher resolution and more samples",
+                )
             )
         return lines
 

@@ -48,7 +48,6 @@ from ._threshold import (
     edge_loss,
     has_absolute_threshold,
     is_near_threshold,
-    lacking_reflections,
     lamp_edge_notes,
     relative_rating,
     relative_sentence,
@@ -179,16 +178,19 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
     light = scene.direct_light(values) if scene else {}
     lacking: tuple[str, ...] = ()
     if isinstance(metric, GlareRating):
-        lacking = lacking_reflections(metric, shown, Lamps.of(scene, values)) if scene else ()
+        lacking = edge_loss(metric, shown, Lamps.of(scene, values)).reflections if scene else ()
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
             premises += _said_of(goal, scenes, metric, shown)
+    sources = find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps, light)
+    if isinstance(metric, GlareRating) and not metric.sources(shown):
+        sources = ()  # in other renders, single samples may pass the threshold
     return Explanation(
         attribution,
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
         definition=definition,
         premises=premises,
-        sources=find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps, light),
+        sources=sources,
         changes=_rendered(scenes, proposed, definition, metric),
         no_changes=why_none(attribution) if count and not proposed else "",
         not_in_sources=lacking,

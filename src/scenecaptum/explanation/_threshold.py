@@ -12,7 +12,7 @@ from ..estimation import Metric
 from ..metrics import GlareRating, GlareSource, luminance
 from ..rendering import FILLED, Reflection, SceneRenderer, SmallLamp
 from ..visualization import Format, advised, first_few, rounded
-from ._sources import PURITY, TINY
+from ._sources import MIN_SHARE, PURITY, TINY
 
 NEAR = 3.0  # times the threshold: below, a dimmed source may stop counting
 LASTING = 2.0  # the luminance of a source is within this factor in another render
@@ -82,10 +82,26 @@ class Lamps(NamedTuple):
 
 
 class EdgeLoss(NamedTuple):
-    """By how much pixels that lamps cover in part make a rating too low, and the lamps that lose most."""
+    """By how much pixels that lamps cover in part make a rating too low, and what each lamp loses.
+
+    That is luminance² · solid angle, before the efficacy, and ``shown`` how much of it the picture has of sources.
+    """
 
     missing: float
-    lamps: list[str]
+    lost: Mapping[str, float]
+    shown: float
+
+    @property
+    def lamps(self) -> list[str]:
+        """The lamps that lose most, the first most of all."""
+        names = sorted(self.lost, key=self.lost.__getitem__, reverse=True)
+        return [name for name in names if self.lost[name] >= NAMED * self.lost[names[0]]]
+
+    @property
+    def reflections(self) -> tuple[str, ...]:
+        """The reflections in panes of which the picture lacks a notable part of the glare."""
+        whole = self.shown + sum(self.lost.values())
+        return _reflections([name for name in self.lost if self.lost[name] >= MIN_SHARE * whole])
 
 
 def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLoss:
@@ -100,7 +116,7 @@ def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLos
     reflected = _bright(_reflected(shown, solid_angles, lamps.reflected), threshold)
     bright = [*direct.values(), *reflected.values()]
     if not bright:
-        return EdgeLoss(0.0, [])
+        return EdgeLoss(0.0, {}, 0.0)
     # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
     resolved = _with_reflections(shown, reflected.values())
     for_lamps = sum((lamp.fraction * lamp.luminance**2 for lamp in direct.values()), torch.zeros_like(shown))
@@ -110,7 +126,8 @@ def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLos
         image.where(brightest == 0, resolved), compared=image.where(brightest == 0, brightest.to(image))
     )
     lost = {name: lamp.lost(solid_angles) for name, lamp in (direct | reflected).items()}
-    return EdgeLoss(changed.item() - metric.hard(image).item(), _losing_most(lost))
+    of_sources = torch.where(shown > threshold, shown**2 * solid_angles.to(shown), 0).sum().item()
+    return EdgeLoss(changed.item() - metric.hard(image).item(), lost, of_sources)
 
 
 def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> list[str]:
@@ -118,8 +135,8 @@ def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> l
 
     It is a caution if that is much, or enough for another class.
     """
-    missing, names = edge_loss(metric, image, lamps)
-    value = metric.hard(image).item()
+    loss = edge_loss(metric, image, lamps)
+    missing, names, value = loss.missing, loss.lamps, metric.hard(image).item()
     if missing <= NOTABLE * abs(value):  # a rating may be negative
         return []
     shown, whole = metric.measure.verdict(value), metric.measure.verdict(value + missing)
@@ -139,19 +156,8 @@ def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> l
     ]
 
 
-def lacking_reflections(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> tuple[str, ...]:
-    """Return the reflections in panes of which a picture lacks so much that a rating is much too low."""
-    missing, names = edge_loss(metric, image, lamps)
-    return _reflections(names) if missing > MUCH * abs(metric.hard(image).item()) else ()
-
-
 def _reflections(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name.startswith(REFLECTION))
-
-
-def _losing_most(lost: Mapping[str, float]) -> list[str]:
-    names = sorted(lost, key=lost.__getitem__, reverse=True)
-    return [name for name in names if lost[name] >= NAMED * lost[names[0]]]
 
 
 class _Lamp(NamedTuple):
