@@ -17,6 +17,7 @@ from scenecaptum.attr import Explanation
 from scenecaptum.estimation import TargetedMetric
 from scenecaptum.explanation import explain, photometric_premises
 from scenecaptum.explanation._changes import why_none
+from scenecaptum.explanation._explain import _with_reflections
 from scenecaptum.explanation._sources import find_sources
 from scenecaptum.explanation._threshold import Lamps, edge_loss, lamp_edge_notes
 from scenecaptum.rendering import SmallLamp
@@ -522,6 +523,12 @@ def test_with_what_a_reflection_lacks_a_rating_is_that_of_the_reflection(mi, wid
         assert loss.lamps == ["the reflection of floor_lamp"]
         assert loss.reflections == ("the reflection of floor_lamp",)
         assert metric.hard(shown).item() + loss.missing == pytest.approx(expected, abs=8 * math.log10(1.3))
+    # A few samples that meet the lamp are the lamp's light, not that of the dark objects in these pixels.
+    noisy = without.where(~is_lamp[..., None], 60.0).expand(2, -1, -1, -1)
+    seen, light = renderer.see_through(()), _with_reflections({}, lamps.reflected)
+    (source,) = find_sources(TargetedMetric(metric, None), noisy, seen, {}, light, loss.reflected)
+    assert source.name == "floor_lamp"
+    assert source.share > 0.9
     (note,) = lamp_edge_notes(metric, without, lamps)
     assert note.startswith("caution: pixels at the edges of the reflection of floor_lamp average its light")
     assert "(then above 19, the limit for offices; within 22" in note

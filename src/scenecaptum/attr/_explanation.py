@@ -93,7 +93,7 @@ class Explanation:
         """Return the headings and the lines below them; a section without a number that is clear is left out."""
         # That counts sources below a threshold, too.
         of_glare = f"{GLARE_SOURCES}: shares of the relaxed rating" if self.definition else GLARE_SOURCES
-        is_glare = any(source.luminance is not None for source in self.sources)
+        is_glare = any(one.luminance is not None for one in self.sources) or bool(self.not_in_sources)
         depends_on = axis_label(self.attribution, width=None, is_relaxed=self.definition is not None)
         unclear = tuple(
             f"{self._change_line(one)}: within its noise{self._with_edges(one)}"
@@ -240,15 +240,13 @@ class Explanation:
             + ("" if source in clear else " (uncertain)")
             for source in stated
         ]
-        if not lines:
-            return []
-        if (rest := 1 - sum(source.share for source in stated)) > SMALL_REST:
+        if lines and (rest := 1 - sum(source.share for source in stated)) > SMALL_REST:
             lines.append(f"the rest: {100 * rest:.1f} %")
         if self.not_in_sources:
             them = "it" if len(self.not_in_sources) == 1 else "them"
             lines.append(
                 advised(
-                    f"these shares lack light of {first_few(self.not_in_sources)}: few samples meet {them}",
+                    f"the picture lacks light of {first_few(self.not_in_sources)}: few samples meet {them}",
                     "use a higher resolution and more samples",
                 )
             )

@@ -36,7 +36,7 @@ from ..metrics import (
 from ..optimize import Optimization, Search, SearchOptions, warn_if_more_is_better
 from ..projection import SurfaceMap
 from ..protocols import Capabilities, Renderer
-from ..rendering import SceneRenderer
+from ..rendering import Reflection, SceneRenderer
 from ..validation import Scenes, denoise_of
 from ..visualization import Format, advised, cautions_among, rounded
 from ._changes import propose, rendered, why_none
@@ -44,6 +44,7 @@ from ._definition import definition_of, states_definition
 from ._rows import find_rows, is_of_daylight
 from ._sources import find_sources
 from ._threshold import (
+    EdgeLoss,
     Lamps,
     edge_loss,
     has_absolute_threshold,
@@ -174,17 +175,19 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         metric, of_value, value, error, shown, renderer, values, is_doubted=is_doubted
     )
     scene = renderer if isinstance(renderer, SceneRenderer) else None
-    lamps = scene.small_lamps(values) if scene and isinstance(metric, GlareRating) else {}
     light = scene.direct_light(values) if scene else {}
-    lacking: tuple[str, ...] = ()
+    lamps, loss, is_rated = Lamps({}, {}, {}), EdgeLoss.nothing(), True
     if isinstance(metric, GlareRating):
-        lacking = edge_loss(metric, shown, Lamps.of(scene, values)).reflections if scene else ()
+        lamps = Lamps.of(scene, values) if scene else lamps
+        loss = edge_loss(metric, scenes.metric.transform(picture), lamps)
+        # In other renders, single samples may pass the threshold.
+        is_rated = bool(metric.sources(shown)) and value != 0
+        light = _with_reflections(light, lamps.reflected)
         premises += single_sample_notes(metric, shown, scenes.metric.transform(other))
         if goal is not None and goal.moved:
             premises += _said_of(goal, scenes, metric, shown)
-    sources = find_sources(scenes.metric, scenes.images, _surfaces(renderer, attribution), lamps, light)
-    if isinstance(metric, GlareRating) and not metric.sources(shown):
-        sources = ()  # in other renders, single samples may pass the threshold
+    surfaces = _surfaces(renderer, attribution) if is_rated else None
+    sources = find_sources(scenes.metric, scenes.images, surfaces, lamps.small, light, loss.reflected)
     return Explanation(
         attribution,
         rows=() if grid is None else find_rows(scenes.metric, scenes.images, grid, of_value),
@@ -193,7 +196,7 @@ def explain(  # noqa: PLR0913 -- those of attributing and of optimizing
         sources=sources,
         changes=_rendered(scenes, proposed, definition, metric),
         no_changes=why_none(attribution) if count and not proposed else "",
-        not_in_sources=lacking,
+        not_in_sources=loss.reflections,
         goal=goal,
         picture=of_value,
     )
@@ -234,6 +237,17 @@ def _said_of(
         said += cautions_among(_edge_notes(metric, after, scenes.renderer, goal.values))
     whose = AT_THE_GOAL if goal.reached else "of the design that was tried"
     return tuple(f"{whose}: {text}" for text in said)
+
+
+def _with_reflections(
+    light: Mapping[str, torch.Tensor], reflected: Mapping[str, Reflection]
+) -> dict[str, torch.Tensor]:
+    """Return the light of objects with that of reflections, which more rays meet."""
+    found = dict(light)
+    for name, one in reflected.items():
+        own = one.radiance * one.fraction[..., None]
+        found[name] = torch.maximum(found[name], own) if name in found else own
+    return found
 
 
 def _edge_notes(

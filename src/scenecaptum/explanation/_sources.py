@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import product
@@ -33,16 +34,20 @@ def find_sources(
     surfaces: SurfaceMap | None,
     lamps: Mapping[str, SmallLamp] | None = None,
     light: Mapping[str, torch.Tensor] | None = None,
+    reflected: torch.Tensor | None = None,
 ) -> tuple[Source, ...]:
     """Return the objects that cause at least 2 % of a metric, the largest share first, with the errors.
 
     ``images`` are independent pictures, ``(replicates, H, W, 3)``. Without a map of the objects there are no
     sources. ``lamps`` are those of a glare rating that are smaller than a pixel, which the map may lack, and
-    ``light`` is the radiance that objects themselves send to each pixel, ``(H, W, 3)``.
+    ``light`` is the radiance that objects themselves send to each pixel, ``(H, W, 3)``. ``reflected`` are the
+    pixels that show bright lamps by way of panes, ``(H, W)``: few samples meet these, and the noise is theirs.
     """
     if surfaces is None:
         return ()
     parts = _Parts.of(surfaces, light or {})
+    if reflected is not None:
+        parts = dataclasses.replace(parts, noisy=reflected.flatten().cpu().numpy()[parts.pixel])
     if lamps and isinstance(metric.metric, GlareRating):
         parts = parts.with_lamps(lamps, metric.metric.camera.solid_angles)
 
@@ -79,6 +84,7 @@ class _Parts:
     fraction: Floats
     emitted: Floats
     known: Mapping[int, float]  # the luminance of objects of which no pixel shows it
+    noisy: NDArray[np.bool_]  # parts that do not tell the luminance of an object, if others do
 
     @classmethod
     def of(cls, surfaces: SurfaceMap, light: Mapping[str, torch.Tensor]) -> _Parts:
@@ -100,7 +106,7 @@ class _Parts:
         fraction, emitted = (
             np.bincount(entry, np.concatenate(one)).astype(float) for one in (fractions, emissions)
         )
-        return cls(names, parts // size, parts % size, fraction, emitted, {})
+        return cls(names, parts // size, parts % size, fraction, emitted, {}, np.zeros(len(parts), bool))
 
     def with_lamps(self, lamps: Mapping[str, SmallLamp], solid_angles: torch.Tensor) -> _Parts:
         """Return the parts with those of lamps that are smaller than a pixel, of which few rays or none are.
@@ -127,6 +133,7 @@ class _Parts:
             np.concatenate([self.fraction[others], fraction]),
             np.concatenate([np.where(is_lamp, 0.0, self.emitted)[others], np.zeros(len(index))]),
             {names.index(name): one for name, one in zip(lamps, luminance, strict=True)},
+            np.concatenate([self.noisy[others], np.zeros(len(index), bool)]),
         )
 
     def by_name(self, weights: Floats) -> Floats:
@@ -143,6 +150,8 @@ class _Parts:
         """
         rest = _luminance(image) - np.bincount(self.pixel, self.emitted, image.shape[0] * image.shape[1])
         purity = self.fraction**PURITY
+        clean = purity * ~self.noisy
+        purity = np.where(self.by_name(clean)[self.name] > 0, clean, purity)
         own = self.by_name(purity * rest[self.pixel]) / np.maximum(self.by_name(purity), TINY)
         own = own.clip(min=0.0)  # noise takes that of emitters below 0
         own[list(self.known)] = list(self.known.values())

@@ -85,11 +85,18 @@ class EdgeLoss(NamedTuple):
     """By how much pixels that lamps cover in part make a rating too low, and what each lamp loses.
 
     That is luminance² · solid angle, before the efficacy, and ``shown`` how much of it the picture has of sources.
+    ``reflected`` are the pixels that show bright lamps by way of panes, ``(H, W)``; None where there are none.
     """
 
     missing: float
     lost: Mapping[str, float]
     shown: float
+    reflected: torch.Tensor | None
+
+    @classmethod
+    def nothing(cls) -> EdgeLoss:
+        """Return that of a picture without lamps."""
+        return cls(0.0, {}, 0.0, None)
 
     @property
     def lamps(self) -> list[str]:
@@ -116,7 +123,7 @@ def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLos
     reflected = _bright(_reflected(shown, solid_angles, lamps.reflected), threshold)
     bright = [*direct.values(), *reflected.values()]
     if not bright:
-        return EdgeLoss(0.0, {}, 0.0)
+        return EdgeLoss.nothing()
     # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
     resolved = _with_reflections(shown, reflected.values())
     for_lamps = sum((lamp.fraction * lamp.luminance**2 for lamp in direct.values()), torch.zeros_like(shown))
@@ -127,7 +134,9 @@ def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLos
     )
     lost = {name: lamp.lost(solid_angles) for name, lamp in (direct | reflected).items()}
     of_sources = torch.where(shown > threshold, shown**2 * solid_angles.to(shown), 0).sum().item()
-    return EdgeLoss(changed.item() - metric.hard(image).item(), lost, of_sources)
+    masks = [one.fraction > 0 for one in reflected.values()]
+    in_panes = torch.stack(masks).any(0) if masks else None
+    return EdgeLoss(changed.item() - metric.hard(image).item(), lost, of_sources, in_panes)
 
 
 def lamp_edge_notes(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> list[str]:
