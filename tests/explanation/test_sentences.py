@@ -205,13 +205,13 @@ def test_the_largest_shares_are_named_where_none_is_clear():
     assert rest == "the rest: 25.0 %"
 
 
-def test_shares_that_lack_light_say_so():
+def test_what_the_picture_lacks_is_said_below_the_shares():
     sources = (Source("panel", "top", 0.99, 0.01, 2300.0),)
     lacking = ("the reflection of spot_l", "the reflection of spot_r")
     found = lines(Explanation(rated(7.0, 3.5), sources=sources, not_in_sources=lacking))
     *_, last = found["Where the glare comes from"]
     assert last.startswith(
-        "these shares lack light of the reflection of spot_l, the reflection of spot_r: few"
+        "the picture lacks light of the reflection of spot_l, the reflection of spot_r: few"
     )
 
 
