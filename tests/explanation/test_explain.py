@@ -447,18 +447,23 @@ def test_what_a_rating_lacks_is_what_a_finer_picture_has_more(mi):
     assert missing[512] == 0, "not worth a note"
 
 
+def camera_at_four(transform) -> dict[str, object]:
+    """A camera at z = 4 that looks at the origin, whose pixels are averages of their own light alone."""
+    return {
+        "type": "perspective",
+        "fov": 60,
+        "to_world": transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
+    }
+
+
 def test_what_a_window_to_the_sky_lacks_is_what_a_finer_picture_has_more(mi):
     """Also behind a pane, which reflects the dark room."""
     transform = mi.ScalarTransform4f()
     pieces = {"left": (-5.3, 0.2), "right": (5.9, 0.2), "below": (0.3, -5.2), "above": (0.3, 5.6)}
     scene = {
         "type": "scene",
-        "camera": {
-            "type": "perspective",
-            "fov": 60,
-            "to_world": transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
-        },
+        "camera": camera_at_four(transform),
         "sky": {"type": "constant", "radiance": 40.0},
         "pane": {"type": "rectangle", "bsdf": {"type": "thindielectric"}},
     }
@@ -487,12 +492,7 @@ def test_with_what_a_reflection_lacks_a_rating_is_that_of_the_reflection(mi, wid
     radiance, radius, place = 600.0, 0.15, [0.8, 0.5, 6.0]
     scene = {
         "type": "scene",
-        "camera": {
-            "type": "perspective",
-            "fov": 60,
-            "to_world": transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0]),
-            "film": {"type": "hdrfilm", "rfilter": {"type": "box"}},
-        },
+        "camera": camera_at_four(transform),
         "pane": {"type": "rectangle", "bsdf": {"type": "thindielectric"}},
         "outside": {"type": "rectangle", "to_world": transform.translate([0, 0, -2]).scale(9)},
         "dusk": {"type": "constant", "radiance": 0.1},

@@ -125,7 +125,7 @@ def edge_loss(metric: GlareRating, image: torch.Tensor, lamps: Lamps) -> EdgeLos
     if not bright:
         return EdgeLoss.nothing()
     # As much luminance² · solid angle as the lamps have, and their luminance against the threshold.
-    resolved = _with_reflections(shown, reflected.values())
+    resolved = _root_mean_square(shown, reflected.values())
     for_lamps = sum((lamp.fraction * lamp.luminance**2 for lamp in direct.values()), torch.zeros_like(shown))
     resolved = torch.maximum(resolved, for_lamps.sqrt())[..., None]
     brightest = torch.stack([(lamp.fraction > 0) * lamp.luminance for lamp in bright]).amax(0)[..., None]
@@ -220,8 +220,8 @@ def _reflected(
     return found
 
 
-def _with_reflections(shown: torch.Tensor, reflections: Iterable[_Lamp]) -> torch.Tensor:
-    """Return the root of the mean of luminance² in each pixel, ``(H, W)``: over what else it shows, too."""
+def _root_mean_square(shown: torch.Tensor, reflections: Iterable[_Lamp]) -> torch.Tensor:
+    """Return the root of the mean of luminance² in each pixel, ``(H, W)``: of reflections and all else."""
     mean, variance = shown, torch.zeros_like(shown)
     for one in reflections:
         mean = mean + one.lacking * one.fraction * one.luminance
